@@ -1,0 +1,168 @@
+"""Rigs as OpenCV YAML: ``cv2.FileStorage`` reads what we write, and the reverse.
+
+Keys: ``K_camera``, ``dist_camera``, ``size_camera`` (width, height) and the same for the
+projector; ``R``, ``T`` from camera to projector coordinates (the convention of
+``cv2.stereoCalibrate`` with the camera first); ``R_world``, ``T_world`` from world to camera
+coordinates (default: identity, the world is the camera's frame).  OpenCV has no word for
+apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers),
+``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
+``flux_w``, ``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slbench.errors import InputError
+from slbench.io import read_opencv_yaml, write_opencv_yaml
+from slbench.rig.device import Camera, Lens, Pose, Projector
+from slbench.rig.rig import Rig
+
+#: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel
+#: depend on it; rays do not.
+_NOMINAL_PITCH_UM = 5.0
+
+
+def write_rig(path: str | Path, rig: Rig) -> None:
+    """Write `rig` as OpenCV YAML.
+
+    Parameters
+    ----------
+    path : path of the file to write (``.yaml`` or ``.yml``)
+    rig : Rig
+    """
+    camera, projector = rig.camera, rig.projector
+    relative = projector.pose.rotation.T @ camera.pose.rotation
+    offset = projector.pose.to_local(camera.pose.position)
+    values: dict[str, Any] = {}
+    for name, device in (("camera", camera), ("projector", projector)):
+        values[f"K_{name}"] = device.matrix
+        values[f"dist_{name}"] = device.opencv_distortion
+        values[f"size_{name}"] = np.array([device.width, device.height], dtype=np.float64)
+        values[f"pitch_um_{name}"] = np.array(device.pitch_mm) * 1e3
+        values[f"aperture_radius_mm_{name}"] = float(device.lens.aperture_radius_mm)
+        if np.isfinite(device.lens.focus_distance_mm):
+            values[f"focus_distance_mm_{name}"] = float(device.lens.focus_distance_mm)
+        values[f"lens_{name}"] = device.lens.kind
+        values[f"natural_vignetting_{name}"] = int(device.lens.natural_vignetting)
+    values |= {
+        "R": relative,
+        "T": offset,
+        "R_world": camera.pose.rotation.T,
+        "T_world": camera.pose.to_local(np.zeros(3)),
+        "flux_w": float(projector.flux_w),
+        "bit_depth_projector": int(projector.bit_depth or 0),
+        "gamma_projector": float(projector.gamma),
+        "volume_mm": np.array(rig.volume_mm, dtype=np.float64),
+    }
+    write_opencv_yaml(path, values)
+
+
+class _Values:
+    """Checked access to a YAML file's values; every failure names the file and the key."""
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = path
+        self.values = read_opencv_yaml(path)
+
+    def array(self, key: str, shapes: tuple[int, ...], default: Any = None) -> np.ndarray:
+        """Return a finite float vector whose length is one of `shapes`."""
+        value = self.values.get(key, default)
+        if value is None:
+            raise InputError(f"{self.path}: {key}", "this key to be present", "nothing")
+        try:
+            flat = np.asarray(value, dtype=np.float64).ravel()
+        except (TypeError, ValueError):
+            raise InputError(f"{self.path}: {key}", "numbers", repr(value)) from None
+        if flat.size not in shapes or not np.all(np.isfinite(flat)):
+            sizes = " or ".join(map(str, shapes))
+            raise InputError(f"{self.path}: {key}", f"{sizes} finite numbers", f"{flat.tolist()}")
+        return flat
+
+    def number(self, key: str, default: float) -> float:
+        return float(self.array(key, (1,), default)[0])
+
+    def pose(self, rotation: str, translation: str, default: Pose | None = None) -> Pose:
+        """Return the pose of the frame that ``X' = R X + T`` maps *from* the parent."""
+        if default is not None and rotation not in self.values:
+            return default
+        matrix = self.array(rotation, (9,)).reshape(3, 3)
+        offset = self.array(translation, (3,))
+        try:
+            return Pose(matrix.T, -matrix.T @ offset)
+        except InputError as error:
+            raise InputError(f"{self.path}: {rotation}", error.expected, error.got) from None
+
+
+def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
+    matrix = values.array(f"K_{name}", (9,)).reshape(3, 3)
+    if matrix[0, 1] != 0 or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+        raise InputError(
+            f"{values.path}: K_{name}",
+            "positive focal lengths and no skew",
+            matrix.tolist(),
+        )
+    pitch = values.array(f"pitch_um_{name}", (2,), [_NOMINAL_PITCH_UM] * 2) * 1e-3
+    focal = matrix[0, 0] * pitch[0]
+    # OpenCV's fx and fy may differ; the pixel's height takes up the difference.
+    pitch[1] = focal / matrix[1, 1]
+    distortion = values.array(f"dist_{name}", (4, 5, 8, 12, 14), np.zeros(5))
+    if distortion.size > 5 and np.any(distortion[5:12]):
+        raise InputError(
+            f"{values.path}: dist_{name}",
+            "k1, k2, p1, p2, k3 and a sensor tilt only",
+            "rational or thin-prism coefficients",
+        )
+    width, height = values.array(f"size_{name}", (2,))
+    kind = str(values.values.get(f"lens_{name}", "perspective"))
+    if kind not in ("perspective", "telecentric"):
+        raise InputError(f"{values.path}: lens_{name}", "perspective or telecentric", kind)
+    focus_key = f"focus_distance_mm_{name}"
+    focus = values.number(focus_key, 0.0) if focus_key in values.values else np.inf
+    return {
+        "width": int(width),
+        "height": int(height),
+        "pitch_mm": (float(pitch[0]), float(pitch[1])),
+        "lens": Lens(
+            float(focal),
+            values.number(f"aperture_radius_mm_{name}", 0.0),
+            focus,
+            kind,  # type: ignore[arg-type]  # checked above
+            bool(values.number(f"natural_vignetting_{name}", 1)),
+        ),
+        "principal_point": (float(matrix[0, 2]), float(matrix[1, 2])),
+        "distortion": tuple(float(x) for x in np.append(distortion[:5], 0.0)[:5]),
+        "tilt_rad": tuple(float(x) for x in distortion[12:14]) or (0.0, 0.0),
+    }
+
+
+def read_rig(path: str | Path) -> Rig:
+    """Read a rig from OpenCV YAML, ours or any calibration with the keys above.
+
+    Raises
+    ------
+    InputError
+        Naming the file and key that is missing or unusable.
+    """
+    values = _Values(path)
+    camera_pose = values.pose("R_world", "T_world", Pose())
+    relative = values.pose("R", "T")  # projector in the camera's frame
+    projector_pose = Pose(
+        camera_pose.rotation @ relative.rotation, camera_pose.to_world(relative.position)
+    )
+    bits = int(values.number("bit_depth_projector", 8))
+    volume = values.array("volume_mm", (3,), [60.0, 70.0, 30.0])
+    return Rig(
+        Camera(**_device_arguments(values, "camera"), pose=camera_pose),
+        Projector(
+            **_device_arguments(values, "projector"),
+            pose=projector_pose,
+            flux_w=values.number("flux_w", 1.0),
+            bit_depth=bits or None,
+            gamma=values.number("gamma_projector", 1.0),
+        ),
+        (float(volume[0]), float(volume[1]), float(volume[2])),
+    )

@@ -1,0 +1,145 @@
+"""A rig: one camera and one projector around a measurement volume (thesis 3.1.2).
+
+**Design frame** D: origin at the projector's nodal point, x right, y down, z towards the
+object.  Six design variables fix the rig: the projector is turned by ``R_DP = Ry(alpha_P)
+Rx(beta_P)``; its axis meets the reference plane ``z = z_ref`` at ``O_W``; the camera stands at
+``(w, h, l)`` and is aimed at ``O_W`` with zero roll.
+
+**World frame** W: origin ``O_W``, x parallel to D's x, z towards the devices: D's axes turned
+by pi about x.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.errors import InputError
+from slbench.rig.device import Camera, Pose, Projector
+
+Array = NDArray[np.float64]
+
+#: World axes in the design frame: a turn by pi about x (DESIGN section 3).
+_DESIGN_TO_WORLD = np.diag([1.0, -1.0, -1.0])
+
+
+def rotation_yx(alpha: float, beta: float) -> Array:
+    """Return ``Ry(alpha) Rx(beta)``, (3, 3): thesis eq. 3; columns are the turned axes."""
+    ca, sa = np.cos(alpha), np.sin(alpha)
+    cb, sb = np.cos(beta), np.sin(beta)
+    about_y = np.array([[ca, 0.0, sa], [0.0, 1.0, 0.0], [-sa, 0.0, ca]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cb, -sb], [0.0, sb, cb]])
+    return about_y @ about_x
+
+
+@dataclass(frozen=True)
+class DesignVariables:
+    """The six design variables of thesis 3.1.2, in mm and rad."""
+
+    z_ref: float
+    w: float
+    h: float
+    l: float  # noqa: E741 - the thesis's name
+    alpha_p: float
+    beta_p: float
+
+    def __post_init__(self) -> None:
+        values = (self.z_ref, self.w, self.h, self.l, self.alpha_p, self.beta_p)
+        if not np.all(np.isfinite(values)):
+            raise InputError("rig design variables", "six finite numbers", values)
+        axis = rotation_yx(self.alpha_p, self.beta_p)[:, 2]
+        if self.z_ref <= 0 or axis[2] <= 0:
+            raise InputError(
+                "rig design variables",
+                "a projector axis that meets the reference plane in front (z_ref > 0)",
+                f"z_ref = {self.z_ref} mm, angles {self.alpha_p}, {self.beta_p} rad",
+            )
+
+    @property
+    def target(self) -> Array:
+        """``O_W`` in the design frame: where the projector's axis meets the plane, (3,)."""
+        axis = rotation_yx(self.alpha_p, self.beta_p)[:, 2]
+        return axis * (self.z_ref / axis[2])
+
+    def poses(self) -> tuple[Pose, Pose]:
+        """Return the poses of camera and projector in the world frame.
+
+        Raises
+        ------
+        InputError
+            If the camera does not stand in front of the target.
+        """
+        target = self.target
+        position = np.array([self.w, self.h, self.l])
+        view = target - position
+        if np.linalg.norm(view) < 1e-9:
+            raise InputError("rig design variables", "a camera apart from the target", position)
+        alpha_c = np.arctan2(view[0], view[2])
+        beta_c = np.arctan2(-view[1], np.hypot(view[0], view[2]))
+        camera = Pose(
+            _DESIGN_TO_WORLD @ rotation_yx(alpha_c, beta_c), _DESIGN_TO_WORLD @ (position - target)
+        )
+        projector = Pose(
+            _DESIGN_TO_WORLD @ rotation_yx(self.alpha_p, self.beta_p), _DESIGN_TO_WORLD @ -target
+        )
+        return camera, projector
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Camera, projector and measurement volume, posed in the world.
+
+    Parameters
+    ----------
+    camera : Camera
+    projector : Projector
+    volume_mm : (float, float, float)
+        Size of the measurement volume along the world's axes, centred on the origin.
+    """
+
+    camera: Camera
+    projector: Projector
+    volume_mm: tuple[float, float, float] = (60.0, 70.0, 30.0)
+
+    def __post_init__(self) -> None:
+        if len(self.volume_mm) != 3 or not all(0 < size < np.inf for size in self.volume_mm):
+            raise InputError("rig volume", "three positive lengths (mm)", self.volume_mm)
+
+    @classmethod
+    def from_design(
+        cls,
+        design: DesignVariables,
+        camera: Camera,
+        projector: Projector,
+        volume_mm: tuple[float, float, float] = (60.0, 70.0, 30.0),
+    ) -> Self:
+        """Place `camera` and `projector` (their poses are replaced) by the design variables."""
+        camera_pose, projector_pose = design.poses()
+        return cls(camera.posed(camera_pose), projector.posed(projector_pose), volume_mm)
+
+    @property
+    def camera_distance(self) -> float:
+        """Distance from the camera's nodal point to the world's origin, mm."""
+        return float(np.linalg.norm(self.camera.pose.position))
+
+    @property
+    def projector_distance(self) -> float:
+        """Distance from the projector's nodal point to the world's origin, mm."""
+        return float(np.linalg.norm(self.projector.pose.position))
+
+    @property
+    def angle(self) -> float:
+        """Triangulation angle: between the two lines from the origin to the devices, rad."""
+        cosine = (self.camera.pose.position @ self.projector.pose.position) / (
+            self.camera_distance * self.projector_distance
+        )
+        return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+    @property
+    def volume_corners(self) -> Array:
+        """The eight corners of the measurement volume, (8, 3), world frame."""
+        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T
+        return signs * np.array(self.volume_mm) / 2.0
