@@ -19,8 +19,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
+
+from slbench.render.mitsuba import dr, mi
 import numpy as np
 
 from slbench.rig import Device, Lens
@@ -54,9 +54,7 @@ class PanelOptics:
         self.focus = mi.Vector3f(*(opaque(n) for n in device.focus_plane))
         self.focus_distance = opaque(lens.focus_distance_mm)
         self.aperture = opaque(lens.aperture_radius_mm) if lens.aperture_radius_mm > 0 else None
-        self.distortion = (
-            [opaque(k) for k in device.distortion] if any(device.distortion) else None
-        )
+        self.distortion = [opaque(k) for k in device.distortion] if any(device.distortion) else None
         self.tilt = self.untilt = None
         if any(device.tilt_rad):
             homography = device.tilt_homography
@@ -301,5 +299,3 @@ def properties_from_device(device: Device) -> dict[str, Any]:
         result["focus_distance"] = lens.focus_distance_mm
     result |= dict(zip(("k1", "k2", "p1", "p2", "k3"), device.distortion, strict=True))
     return result
-
-

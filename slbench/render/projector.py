@@ -31,8 +31,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
-import mitsuba as mi
+
+from slbench.render.mitsuba import dr, mi
 
 from slbench.render.optics import PanelOptics, device_from_properties, device_to_world, opaque
 

@@ -1,0 +1,60 @@
+# From a fresh clone to pictures: `make demo`.  Needs Python 3.11 or newer (with venv) and make.
+#
+#   make demo      environment, then scan the step block into out/demo
+#   make test      lint, types, and the tests that take less than about ten seconds each
+#   make test-all  the slow tests too
+#   make bench     timings only (tests/benchmarks)
+#   make lint      ruff and mypy
+#   make clean     remove everything that make has made, the environment included
+#
+# Another interpreter: make PYTHON=/path/to/python3.12 demo
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
+
+# Stamps: the environment is installed again only when what it is made from changes.
+RUN_STAMP := $(VENV)/.installed
+TEST_STAMP := $(VENV)/.installed-test
+INSTALLED_FROM := pyproject.toml constraints.txt
+
+.DELETE_ON_ERROR:
+.PHONY: demo test test-all bench lint clean
+
+demo: $(RUN_STAMP)
+	$(BIN)/slbench scan step-block --out out/demo
+	@echo "The pictures are in $(CURDIR)/out/demo"
+
+test: lint
+	$(BIN)/python -m pytest -m "not slow" --benchmark-disable
+
+test-all: lint
+	$(BIN)/python -m pytest --benchmark-disable
+
+bench: $(TEST_STAMP)
+	$(BIN)/python -m pytest --benchmark-only tests/benchmarks
+
+lint: $(TEST_STAMP)
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	    echo "make: slbench needs Python 3.11 or newer, and $(PYTHON) is not: make PYTHON=/path/to/python3.11" >&2; \
+	    exit 1; }
+	$(PYTHON) -m venv $(VENV)
+
+$(RUN_STAMP): $(INSTALLED_FROM) | $(BIN)/python
+	$(PIP) -e .
+	@touch $@
+
+# The test environment contains the plain one, so both stamps are set.
+$(TEST_STAMP): $(INSTALLED_FROM) | $(BIN)/python
+	$(PIP) -e '.[test]'
+	@touch $(RUN_STAMP) $@
+
+clean:
+	rm -rf $(VENV) out dist build .pytest_cache .mypy_cache .ruff_cache .hypothesis .benchmarks
+	find slbench tests -name __pycache__ -type d -prune -exec rm -rf {} +

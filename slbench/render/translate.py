@@ -1,0 +1,289 @@
+"""A scene in Mitsuba's words: geometry, materials, and the whole as a Mitsuba dictionary.
+
+:func:`geometry` is what the light transport tracer and the ground truth look at: shapes only.
+:func:`mitsuba_dict` is the complete scene with camera, projector and a pattern, for rendering
+with Mitsuba's own integrators; it uses stock plugins wherever they can express the device and
+ours elsewhere, and :func:`export_xml` writes it for other Mitsuba users where they all can.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slbench.errors import InputError
+from slbench.io import atomic_path, write_exr
+from slbench.objects import Mesh
+from slbench.render.mitsuba import dr, mi
+from slbench.render.optics import properties_from_device
+from slbench.render.plugins import register
+from slbench.rig import Device, Pose
+from slbench.scene import Material, Scene
+
+
+def bsdf_dict(material: Material) -> dict[str, Any]:
+    """Return a material as a Mitsuba BSDF; both sides of every face scatter."""
+    if material.bsdf == "diffuse":
+        inner: dict[str, Any] = {"type": "diffuse", "reflectance": _grey(material.albedo)}
+    elif material.bsdf == "rough_plastic":
+        inner = {
+            "type": "roughplastic",
+            "distribution": "ggx",
+            "alpha": material.roughness,
+            "int_ior": material.eta,
+            "diffuse_reflectance": _grey(material.albedo),
+        }
+    else:
+        inner = {
+            "type": "roughconductor",
+            "distribution": "ggx",
+            "alpha": material.roughness,
+            "eta": _grey(material.eta or 1.0),
+            "k": _grey(material.k),
+            "specular_reflectance": _grey(material.albedo),
+        }
+    return {"type": "twosided", "bsdf": inner}
+
+
+def _grey(value: float) -> dict[str, Any]:
+    return {"type": "uniform", "value": float(value)}
+
+
+def world_meshes(scene: Scene) -> list[Mesh]:
+    """Return each object's mesh in world coordinates, float64."""
+    return [
+        item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
+        for item in scene.objects
+    ]
+
+
+def _mitsuba_mesh(name: str, mesh: Mesh, material: Material) -> Any:
+    props = mi.Properties()
+    props["bsdf"] = mi.load_dict(bsdf_dict(material))
+    # No vertex normals: artefacts have sharp edges, and their facets are the truth.
+    result = mi.Mesh(name, len(mesh.vertices), len(mesh.faces), props=props)
+    params = mi.traverse(result)
+    params["vertex_positions"] = mi.Float(mesh.vertices.astype(np.float32).ravel())
+    params["faces"] = mi.UInt32(mesh.faces.astype(np.uint32).ravel())
+    params.update()
+    return result
+
+
+def geometry(scene: Scene) -> Any:
+    """Return a Mitsuba scene of the objects alone; shape k is object k."""
+    register()
+    shapes = {
+        f"object{k:03d}": _mitsuba_mesh(f"object{k:03d}", mesh, item.material)
+        for k, (mesh, item) in enumerate(zip(world_meshes(scene), scene.objects, strict=True))
+    }
+    return mi.load_dict({"type": "scene", **shapes}, parallel=False, optimize=False)
+
+
+def shape_indices(geometry_scene: Any) -> dict[int, int]:
+    """Return the object index of each shape, by Dr.Jit's instance id."""
+    return {
+        int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]): k
+        for k, shape in enumerate(geometry_scene.shapes())
+    }
+
+
+def pose_matrix(pose: Pose) -> NDArray[np.float64]:
+    """Return a pose as a (4, 4) matrix from device to world coordinates."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = pose.rotation
+    matrix[:3, 3] = pose.position
+    return matrix
+
+
+def _to_world(pose: Pose) -> Any:
+    # Mitsuba's devices have x left and y up, ours x right and y down.
+    return mi.ScalarTransform4f((pose_matrix(pose) @ np.diag([-1.0, -1.0, 1.0, 1.0])).tolist())
+
+
+def _fov_deg(device: Device) -> float:
+    width = device.width * device.pitch_mm[0]
+    return float(np.rad2deg(2.0 * np.arctan(width / (2.0 * device.lens.focal_length_mm))))
+
+
+def beyond_stock(device: Device) -> list[str]:
+    """List what a device has that Mitsuba's stock plugins cannot express."""
+    projector = hasattr(device, "flux_w")
+    centre = ((device.width - 1) / 2.0, (device.height - 1) / 2.0)
+    blurred = device.lens.aperture_radius_mm > 0
+    findings = {
+        "lens distortion": any(device.distortion),
+        "sensor tilt": any(device.tilt_rad),
+        "a telecentric lens": device.lens.kind == "telecentric",
+        "pixels that are not square": device.pitch_mm[0] != device.pitch_mm[1],
+        "a principal point off centre": device.centre != centre,
+        "an aperture": projector and blurred,
+        "natural vignetting": projector and device.lens.natural_vignetting,
+    }
+    return [name for name, present in findings.items() if present]
+
+
+def camera_dict(scene: Scene, samples: int) -> dict[str, Any]:
+    """Return the camera as a Mitsuba sensor."""
+    camera = scene.rig.camera
+    sensor: dict[str, Any] = {
+        "to_world": _to_world(camera.pose),
+        "film": {
+            "type": "hdrfilm",
+            "width": camera.width,
+            "height": camera.height,
+            "pixel_format": "luminance",
+            "component_format": "float32",
+            "rfilter": {"type": "box"},
+        },
+        "sampler": {"type": "independent", "sample_count": samples},
+    }
+    if beyond_stock(camera):
+        return {"type": "slbench_camera", **properties_from_device(camera), **sensor}
+    sensor |= {"fov": _fov_deg(camera), "near_clip": 0.1, "far_clip": 1e5}
+    if camera.lens.aperture_radius_mm == 0:
+        return {"type": "perspective", **sensor}
+    return {
+        "type": "thinlens",
+        "aperture_radius": camera.lens.aperture_radius_mm,
+        "focus_distance": min(camera.lens.focus_distance_mm, 1e6),
+        **sensor,
+    }
+
+
+def projector_dict(scene: Scene, picture: dict[str, Any]) -> dict[str, Any]:
+    """Return the projector as a Mitsuba emitter that shows a texture."""
+    projector = scene.rig.projector
+    emitter: dict[str, Any] = {"to_world": _to_world(projector.pose), "irradiance": picture}
+    if beyond_stock(projector):
+        return {
+            "type": "thinlens_projector",
+            **properties_from_device(projector),
+            "scale": projector.axial_intensity,
+            **emitter,
+        }
+    # Mitsuba's projector multiplies by pi.
+    return {
+        "type": "projector",
+        "fov": _fov_deg(projector),
+        "scale": projector.axial_intensity / np.pi,
+        **emitter,
+    }
+
+
+def _picture(scene: Scene, pattern: ArrayLike) -> NDArray[np.float32]:
+    panel = np.asarray(pattern, dtype=np.float32)
+    expected = (scene.rig.projector.height, scene.rig.projector.width)
+    if panel.shape != expected or not np.all(np.isfinite(panel)):
+        raise InputError("pattern", f"a finite picture of shape {expected}", panel.shape)
+    return panel
+
+
+def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -> dict[str, Any]:
+    """Return the scene as a dictionary for ``mitsuba.load_dict``.
+
+    Parameters
+    ----------
+    scene : Scene
+    pattern : (H, W) float
+        Radiance of the panel relative to white (after the panel's response).
+    samples : int, optional
+        Samples a pixel; the scene's if not given.
+
+    Returns
+    -------
+    dict
+        With integrator ``path`` of the scene's number of bounces.
+    """
+    register()
+    picture = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(_picture(scene, pattern)[..., None]),
+        # A DMD pixel is a square of one value.
+        "raw": True,
+        "filter_type": "nearest",
+        "wrap_mode": "clamp",
+        "accel": False,
+    }
+    result: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 2 + scene.light.bounces, "rr_depth": 1000},
+        "camera": camera_dict(scene, samples or scene.samples),
+        "projector": projector_dict(scene, picture),
+    }
+    for k, (mesh, item) in enumerate(zip(world_meshes(scene), scene.objects, strict=True)):
+        name = f"object{k:03d}"
+        result[name] = _mitsuba_mesh(name, mesh, item.material)
+    if scene.light.ambient_w_per_mm2 > 0:
+        result["ambient"] = _ambient(scene)
+    return result
+
+
+def _ambient(scene: Scene) -> dict[str, Any]:
+    return {"type": "constant", "radiance": _grey(scene.light.ambient_w_per_mm2 / np.pi)}
+
+
+def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]:
+    """Write the scene for Mitsuba's own command line: XML, meshes (PLY) and the panel (EXR).
+
+    Parameters
+    ----------
+    scene : Scene
+    path : path of the XML file; the other files stand beside it, named after it
+    pattern : (H, W) float
+        As for :func:`mitsuba_dict`.
+
+    Returns
+    -------
+    list of Path
+        The files written, the XML first.
+
+    Raises
+    ------
+    InputError
+        If a device needs a plugin that stock Mitsuba does not have, naming the reason.
+    """
+    register()
+    for device, name in ((scene.rig.camera, "camera"), (scene.rig.projector, "projector")):
+        reasons = beyond_stock(device)
+        if reasons:
+            raise InputError(
+                f"scene {scene.name}: {name}",
+                "a device that Mitsuba's stock plugins can express",
+                " and ".join(reasons),
+            )
+    target = Path(path)
+    panel_path = target.with_name(f"{target.stem}-panel.exr")
+    write_exr(panel_path, {"Y": _picture(scene, pattern)})
+    written = [target, panel_path]
+    picture = {
+        "type": "bitmap",
+        "filename": panel_path.name,
+        "raw": True,
+        "filter_type": "nearest",
+        "wrap_mode": "clamp",
+    }
+    content: dict[str, Any] = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 2 + scene.light.bounces, "rr_depth": 1000},
+        "camera": camera_dict(scene, scene.samples),
+        "projector": projector_dict(scene, picture),
+    }
+    for k, (mesh, item) in enumerate(zip(world_meshes(scene), scene.objects, strict=True)):
+        mesh_path = target.with_name(f"{target.stem}-object{k:03d}.ply")
+        with atomic_path(mesh_path) as temporary:
+            _mitsuba_mesh("mesh", mesh, item.material).write_ply(str(temporary))
+        written.append(mesh_path)
+        content[f"object{k:03d}"] = {
+            "type": "ply",
+            "filename": mesh_path.name,
+            "face_normals": True,
+            "bsdf": bsdf_dict(item.material),
+        }
+    if scene.light.ambient_w_per_mm2 > 0:
+        content["ambient"] = _ambient(scene)
+    with atomic_path(target) as temporary:
+        mi.xml.dict_to_xml(content, str(temporary))
+    return written
