@@ -1,0 +1,102 @@
+"""What every reader and writer of files shares: atomic writing, and the check that a file is there.
+
+A file is written under a temporary name in its own folder and renamed when complete, which
+POSIX and Windows both do in one step, so a reader never sees half a file.
+"""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from slbench.errors import InputError
+
+
+@contextmanager
+def atomic_path(path: str | Path) -> Iterator[Path]:
+    """Give a temporary path to write to, renamed to `path` when the block succeeds.
+
+    The folder is created if need be.  When the block raises, neither the file nor the
+    temporary one is left, and an earlier file of that name is untouched.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file that is to appear.
+
+    Yields
+    ------
+    Path
+        A name in the same folder, with the same suffix (writers choose a format by it).
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be made or the file cannot be put there.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(path, "a file in a folder that can be made", error.strerror) from error
+    if path.is_dir():
+        raise InputError(path, "the name of a file", "a folder")
+    temporary = path.with_name(f".{path.stem}.{secrets.token_hex(6)}{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as error:
+        if error.filename is None or Path(error.filename) != temporary:
+            raise
+        raise InputError(path, "a file that can be written", error.strerror) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def existing(path: str | Path) -> Path:
+    """Check that a file is there and may be read.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    Path
+        The same.
+
+    Raises
+    ------
+    InputError
+        If it is missing, a folder, or not readable.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "a file", "a folder" if path.is_dir() else "nothing of that name")
+    if not os.access(path, os.R_OK):
+        raise InputError(path, "a file that may be read", "one without permission")
+    return path
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a whole file atomically.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    content : bytes
+        All of it.
+    """
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def describe(array: NDArray[Any]) -> str:
+    """Type and shape of an array, for an error message."""
+    return f"{array.dtype} of shape {array.shape}"

@@ -1,0 +1,165 @@
+"""Artefacts with certified dimensions, from parameters or from ``objects/NAME.toml``.
+
+The same parameters give the same mesh, byte for byte.  A TOML file says what kind of
+artefact it is, its parameters, its certified dimensions and where they come from::
+
+    kind = "sphere"
+    source = "Nominal dimensions"
+
+    [parameters]
+    radius_mm = 12.5
+
+    [certified]
+    sphere_diameter_mm = 25.0
+
+Loading it measures the mesh and compares it with the certified dimensions.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pydantic import Field
+
+from slbench import resources
+from slbench.errors import InputError
+from slbench.io import read_toml
+from slbench.objects.artefact import (
+    REFERENCE,
+    Artefact,
+    Feature,
+    Mesh,
+    PlaneFeature,
+    SphereFeature,
+    measure,
+    surface_height,
+)
+from slbench.objects.meshfile import MeshParameters, build_mesh_file
+from slbench.objects.plane import PlaneParameters, build_plane
+from slbench.objects.sphere import SphereParameters, build_sphere
+from slbench.objects.stepblock import StepBlockParameters, build_step_block
+from slbench.validation import Finite, Parameters, shown, validated
+
+__all__ = [
+    "KINDS",
+    "REFERENCE",
+    "Artefact",
+    "Feature",
+    "Mesh",
+    "PlaneFeature",
+    "SphereFeature",
+    "build",
+    "load",
+    "measure",
+    "surface_height",
+]
+
+
+class ArtefactKind(NamedTuple):
+    """A kind of artefact: the model of its parameters, and its builder."""
+
+    parameters: type[Parameters]
+    build: Callable[[Any, str, str], Artefact]
+
+
+#: What :func:`build` can build.
+KINDS: dict[str, ArtefactKind] = {
+    "plane": ArtefactKind(PlaneParameters, build_plane),
+    "sphere": ArtefactKind(SphereParameters, build_sphere),
+    "step_block": ArtefactKind(StepBlockParameters, build_step_block),
+    "mesh": ArtefactKind(MeshParameters, build_mesh_file),
+}
+
+
+class _ArtefactFile(Parameters):
+    kind: str
+    source: str
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    certified: dict[str, Finite] = Field(default_factory=dict)
+
+
+def build(
+    kind: str,
+    parameters: object,
+    where: str = "parameters",
+    *,
+    name: str | None = None,
+    folder: str | Path | None = None,
+) -> Artefact:
+    """Build an artefact from its parameters.
+
+    Parameters
+    ----------
+    kind : str
+        A key of :data:`KINDS`.
+    parameters : mapping
+        As in the ``[parameters]`` of a TOML; see the kind's module.
+    where : str
+        Where they were read, for error messages.
+    name : str, optional
+        What to call it; the kind if not given.
+    folder : str or Path, optional
+        The folder of the file that the parameters were read from: a path among them is
+        relative to it and must stay inside.  Without it a path is taken as it is.
+
+    Returns
+    -------
+    Artefact
+        Mesh, features and nominal dimensions.
+
+    Raises
+    ------
+    InputError
+        If the kind or a key is unknown, or a value cannot be used.
+    """
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise InputError("kind", f"one of {', '.join(KINDS)}", shown(kind))
+    checked = validated(KINDS[kind].parameters, parameters, where)
+    if folder is not None and isinstance(checked, MeshParameters):
+        path = resources.inside(folder, checked.path)
+        checked = checked.model_copy(update={"path": str(path)})
+    return KINDS[kind].build(checked, name or kind, where)
+
+
+def load(name_or_path: str | Path) -> Artefact:
+    """Load an artefact from a TOML file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A file, or the name of a shipped one, e.g. ``"step-block-5"``.
+
+    Returns
+    -------
+    Artefact
+        With the certified dimensions of the file, and its source.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, or certifies what its mesh does not have.
+    """
+    path = resources.find("objects", name_or_path)
+    file = validated(_ArtefactFile, read_toml(path), path.name, separator=": ")
+    if file.kind not in KINDS:
+        raise InputError(f"{path.name}: kind", f"one of {', '.join(KINDS)}", shown(file.kind))
+    artefact = build(
+        file.kind,
+        file.parameters,
+        f"{path.name}: parameters",
+        name=path.stem,
+        folder=path.parent,
+    )
+    measured = measure(artefact)
+    for key, value in file.certified.items():
+        where = f"{path.name}: certified.{key}"
+        if key not in artefact.certified:
+            known = ", ".join(artefact.certified)
+            raise InputError(where, f"one of the dimensions {known}", "another")
+        # A nanometre, and the rounding of a mesh file in single precision.
+        if not abs(value - measured[key]) <= 1e-6 + 1e-6 * abs(value):
+            raise InputError(where, f"{measured[key]:.9g} as the mesh has it", f"{value:.9g}")
+    return dataclasses.replace(
+        artefact, source=file.source, certified={**artefact.certified, **file.certified}
+    )
