@@ -52,14 +52,13 @@ def _product(indptr, indices, data, panels, out):  # type: ignore[no-untyped-def
 
 
 @njit(parallel=True, cache=True, nogil=True)
-def _merge(columns, weights, width, counts):  # type: ignore[no-untyped-def]
+def _merge(columns, weights, width, counts, workers):  # type: ignore[no-untyped-def]
     """Merge equal columns of each pixel's samples in place, sorted; counts[p] survive.
 
     Each thread keeps one dense row of the panel; a pixel touches few of its entries, which
     are cleared again on the way out, so the cost is that of the samples alone.
     """
     pixels, samples = columns.shape
-    workers = get_num_threads() * 4
     for worker in prange(workers):
         row = np.zeros(width, np.float32)
         touched = np.empty(samples, columns.dtype)
@@ -134,7 +133,8 @@ class SparseRows:
         width : int
         """
         counts = np.empty(columns.shape[0], np.int64)
-        _merge(columns, weights, width, counts)
+        # More chunks than threads, so that bright and dark regions even out.
+        _merge(columns, weights, width, counts, 4 * get_num_threads())
         indptr = np.concatenate(([0], np.cumsum(counts)))
         indices = np.empty(indptr[-1], columns.dtype)
         data = np.empty(indptr[-1], np.float32)

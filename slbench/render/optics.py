@@ -232,7 +232,7 @@ def device_to_world(props: mi.Properties) -> mi.AffineTransform4f:
     Mitsuba's ``to_world`` has x left and y up; ours x right and y down: a turn by pi about z.
     """
     matrix = np.eye(4)
-    if props.has_property("to_world"):
+    if "to_world" in props:
         matrix = np.array(props["to_world"].matrix, dtype=np.float64)
     return opaque_transform(matrix @ np.diag([-1.0, -1.0, 1.0, 1.0]))
 
@@ -251,7 +251,7 @@ def device_from_properties(props: mi.Properties, size: Sequence[int]) -> Device:
     """
     width, height = (int(n) for n in size)
     pitch = float(props.get("pixel_pitch", 0.01))
-    if props.has_property("focal_length"):
+    if "focal_length" in props:
         focal = float(props["focal_length"])
     else:
         fov = np.deg2rad(float(props.get("fov", 45.0)))

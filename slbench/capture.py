@@ -1,0 +1,347 @@
+"""Frames: exposed from light transport, or read from a folder of photographs.
+
+``transport x patterns x detector -> frames``: every frame is a sparse product and a noise
+draw.  A :class:`Capture` holds the frames and what was projected; a folder holds them as PNG
+beside ``capture.toml``, and the same manifest describes real photographs::
+
+    format = 1
+    bit_depth = 8
+    frames = ["frames/000.png", "frames/001.png", ...]   # in the order of the patterns
+    rig = "rig.yaml"                                     # optional, to triangulate
+
+    [patterns]
+    panel = [640, 480]                                   # width and height, px
+    parts = [
+        { kind = "fringes", count = 1, shifts = 3, axis = "u" },
+        { kind = "fringes", count = 10, shifts = 3, axis = "u" },
+    ]
+
+    [noise]                                              # optional: predicted deviations
+    read_dn = 0.19
+    gain_dn_per_e = 0.016
+    offset_dn = 2.0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench import resources
+from slbench.detector import (
+    BIT_DEPTHS,
+    auto_exposure_scale,
+    expose,
+    noise_model,
+    photons_from_irradiance,
+)
+from slbench.errors import InputError
+from slbench.io import read_grey, read_toml, write_png, write_toml
+from slbench.patterns import NoiseModel, PatternSequence, PhaseMap, decode, panel_response
+from slbench.rig import Rig
+from slbench.rig.opencv import read_rig, write_rig
+from slbench.scene import Scene
+from slbench.transport import LightTransport
+
+MANIFEST = "capture.toml"
+_FORMAT = 1
+_KEYS = {"format", "bit_depth", "frames", "rig", "patterns", "noise", "exposure_ms"}
+
+#: Exposure time that the dark signal is computed with where the light's power is unknown (a
+#: pinhole camera, automatic exposure).
+NOMINAL_EXPOSURE_S = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """The frames of one scan and what was projected.
+
+    Parameters
+    ----------
+    frames : (N, V, U) uint8 or uint16
+        Digital numbers, one frame a pattern.
+    sequence : PatternSequence
+        N frames.
+    bit_depth : int
+        Bits of a digital number; a pixel at the top of the range is saturated.
+    noise : NoiseModel or None
+        Temporal noise, for predicted deviations; None where it is not known.
+    rig : Rig or None
+        Geometry, where it is known.
+    exposure_s : float or None
+    """
+
+    frames: NDArray[Any]
+    sequence: PatternSequence
+    bit_depth: int = 8
+    noise: NoiseModel | None = None
+    rig: Rig | None = None
+    exposure_s: float | None = None
+
+    def __post_init__(self) -> None:
+        frames = self.frames
+        if frames.ndim != 3 or frames.dtype not in (np.uint8, np.uint16) or frames.size == 0:
+            raise InputError(
+                "capture frames", "(N, V, U) uint8 or uint16", f"{frames.shape} {frames.dtype}"
+            )
+        if len(frames) != self.sequence.n_frames:
+            raise InputError(
+                "capture frames",
+                f"{self.sequence.n_frames}, as many as patterns ({self.sequence.name})",
+                len(frames),
+            )
+        if self.bit_depth not in BIT_DEPTHS:
+            raise InputError("capture bit_depth", f"one of {BIT_DEPTHS}", self.bit_depth)
+        if frames.dtype.itemsize * 8 < self.bit_depth:
+            raise InputError("capture frames", f"{self.bit_depth} bit frames", frames.dtype)
+        if self.rig is not None:
+            _check_sizes(self.rig, frames.shape, self.sequence.panel)
+
+    def decode(self, **options: Any) -> PhaseMap:
+        """Decode the frames; `options` as for :func:`slbench.patterns.decode`."""
+        return decode(
+            self.frames,
+            self.sequence,
+            noise=self.noise,
+            saturation=2**self.bit_depth - 1,
+            **options,
+        )
+
+    def save(self, folder: str | Path) -> None:
+        """Write frames, manifest and rig to `folder`; the manifest comes last."""
+        root = Path(folder)
+        (root / "frames").mkdir(parents=True, exist_ok=True)
+        names = [f"frames/{k:03d}.png" for k in range(len(self.frames))]
+        for name, frame in zip(names, self.frames, strict=True):
+            write_png(root / name, frame)
+        manifest: dict[str, Any] = {
+            "format": _FORMAT,
+            "bit_depth": self.bit_depth,
+            "frames": names,
+            "patterns": self.sequence.to_dict(),
+        }
+        if self.exposure_s is not None:
+            manifest["exposure_ms"] = self.exposure_s * 1e3
+        if self.noise is not None:
+            manifest["noise"] = asdict(self.noise)
+        if self.rig is not None:
+            write_rig(root / "rig.yaml", self.rig)
+            manifest["rig"] = "rig.yaml"
+        write_toml(root / MANIFEST, manifest)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> Capture:
+        """Read a folder with a manifest: what :meth:`save` wrote, or real photographs.
+
+        Raises
+        ------
+        InputError
+            Naming the file and key at fault: a missing manifest or frame, frames of
+            different sizes, a path that leaves the folder.
+        """
+        root = Path(folder)
+        path = root if root.suffix == ".toml" else root / MANIFEST
+        manifest = read_toml(path)
+        for key in manifest:
+            if key not in _KEYS:
+                raise InputError(f"{path}: {key}", f"one of {sorted(_KEYS)}", "an unknown key")
+        for key in ("frames", "patterns"):
+            if key not in manifest:
+                raise InputError(f"{path}: {key}", "this key to be present", "nothing")
+        if manifest.get("format", _FORMAT) != _FORMAT:
+            raise InputError(f"{path}: format", str(_FORMAT), manifest["format"])
+        try:
+            sequence = PatternSequence.from_dict(manifest["patterns"])
+            noise = _noise(manifest["noise"]) if "noise" in manifest else None
+            frames = _read_frames(path.parent, manifest["frames"])
+            rig = None
+            if "rig" in manifest:
+                rig = read_rig(resources.inside(path.parent, manifest["rig"]))
+            bits = manifest.get("bit_depth", 8 * frames.dtype.itemsize)
+            exposure = manifest.get("exposure_ms")
+            if exposure is not None and not isinstance(exposure, (int, float)):
+                raise InputError("exposure_ms", "a number", repr(exposure))
+            time = None if exposure is None else float(exposure) * 1e-3
+            return cls(frames, sequence, bits, noise, rig, time)
+        except InputError as error:
+            raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
+
+
+def _check_sizes(rig: Rig, frames: tuple[int, ...], panel: tuple[int, int]) -> None:
+    camera, projector = rig.camera, rig.projector
+    if frames[1:] != (camera.height, camera.width):
+        raise InputError(
+            "frames",
+            f"the rig's {camera.width} x {camera.height} px",
+            f"{frames[2]} x {frames[1]} px",
+        )
+    if panel != (projector.width, projector.height):
+        raise InputError(
+            "patterns.panel",
+            f"the rig's {projector.width} x {projector.height} px",
+            f"{panel[0]} x {panel[1]} px",
+        )
+
+
+def _noise(table: Any) -> NoiseModel:
+    fields = {"read_dn", "gain_dn_per_e", "offset_dn", "step_dn"}
+    if not isinstance(table, dict) or set(table) - fields:
+        raise InputError("noise", f"a table with {sorted(fields)}", table)
+    for key, value in table.items():
+        if not isinstance(value, (int, float)) or isinstance(value, bool):
+            raise InputError(f"noise.{key}", "a number", repr(value))
+    return NoiseModel(**table)
+
+
+def _read_frames(folder: Path, names: Any) -> NDArray[Any]:
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise InputError("frames", "a list of image files", repr(names)[:60])
+    frames: NDArray[Any] | None = None
+    for k, name in enumerate(names):
+        image = read_grey(resources.inside(folder, name))
+        if frames is None:
+            frames = np.empty((len(names), *image.shape), image.dtype)
+        if image.shape != frames.shape[1:] or image.dtype != frames.dtype:
+            raise InputError(
+                name,
+                f"{frames.shape[2]} x {frames.shape[1]} px {frames.dtype} as the first frame",
+                f"{image.shape[1]} x {image.shape[0]} px {image.dtype}",
+            )
+        frames[k] = image
+    assert frames is not None  # names is not empty
+    return frames
+
+
+def capture(
+    scene: Scene,
+    transport: LightTransport,
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    on_progress: Callable[[float], None] | None = None,
+) -> Capture:
+    """Expose the frames of a scene's patterns.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its sequence, projector, detector and exposure; the light comes from `transport`.
+    transport : LightTransport
+        With the marginals of the axes that the sequence codes.
+    seed : int
+        Of temporal noise and vibration.  The fixed pattern has the detector's own seed.
+    noise : bool
+        False: the expected frames, rounded once, without vibration.
+    on_progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    Capture
+    """
+    sequence = scene.sequence
+    factor, exposure_s = exposure(scene, transport)
+    shape = (sequence.n_frames, *transport.shape)
+    dtype = np.uint8 if scene.detector.bit_depth == 8 else np.uint16
+    frames = np.empty(shape, dtype)
+    rng = np.random.default_rng([seed, 1])
+    shake = np.random.default_rng([seed, 2]) if noise else None
+    done = 0
+    for indices, radiance in radiance_batches(scene, transport):
+        if shake is not None and scene.exposure.vibration_px > 0:
+            _vibrate(radiance, scene.exposure.vibration_px, shake)
+        radiance *= np.float32(factor)
+        frames[indices] = expose(scene.detector, radiance, exposure_s, rng, noise)
+        done += len(indices)
+        if on_progress:
+            on_progress(done / len(frames))
+    return Capture(
+        frames,
+        sequence,
+        scene.detector.bit_depth,
+        noise_model(scene.detector) if noise else NoiseModel(offset_dn=scene.detector.black_dn),
+        scene.rig,
+        exposure_s,
+    )
+
+
+def radiance_batches(
+    scene: Scene, transport: LightTransport
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
+    """Yield frame indices and their radiance images, a bounded number at a time."""
+    projector = scene.rig.projector
+    for axis in scene.sequence.axes or ("u",):
+        indices, profiles = scene.sequence.profiles(axis)
+        panel = panel_response(profiles, projector.bit_depth, projector.gamma)
+        for part in transport.batches(len(indices)):
+            yield indices[part], transport.relight(panel[part], axis)
+
+
+def noise_free_phase(scene: Scene, transport: LightTransport) -> PhaseMap:
+    """Decode the radiance itself, before the detector: the renderer's own error floor.
+
+    What is left is not noise but geometry and sampling: the projector's square pixels, the
+    pixel's footprint, and the Monte Carlo error of the light transport.
+    """
+    stack = np.empty((scene.sequence.n_frames, *transport.shape), np.float32)
+    for indices, radiance in radiance_batches(scene, transport):
+        stack[indices] = radiance
+    white = float(np.percentile(transport.white(), 99.0)) or 1.0
+    stack *= np.float32(200.0 / white)
+    return decode(stack, scene.sequence, noise=NoiseModel(step_dn=0.0), min_modulation=1.0)
+
+
+def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
+    """Return photons per unit radiance, and the exposure time in seconds.
+
+    An automatic exposure scales the light until the fully lit picture reaches the wanted
+    level; where the camera has an aperture this is expressed as an exposure time.
+
+    Raises
+    ------
+    InputError
+        For an absolute exposure through a pinhole, or where the projector lights nothing.
+    """
+    camera, detector = scene.rig.camera, scene.detector
+    area = camera.pitch_mm[0] * camera.pitch_mm[1]
+    per_second = None
+    if np.isfinite(camera.lens.f_number):
+        irradiance = camera.etendue_mm2_sr / area  # on the sensor, per unit scene radiance
+        per_second = float(
+            photons_from_irradiance(irradiance, 1.0, area, detector.wavelength_nm)
+        )
+    time = scene.exposure.time_s
+    if time is not None:
+        if per_second is None:
+            camera.etendue_mm2_sr  # noqa: B018 - raises: a pinhole has no absolute exposure
+        assert per_second is not None
+        return per_second * time, time
+    white = transport.white() - transport.ambient
+    if not np.any(white > 0):
+        raise InputError(f"scene {scene.name}", "an object that the projector lights", "none")
+    level = scene.exposure.white_level
+    factor = auto_exposure_scale(detector, white.astype(np.float64), level)
+    return factor, (factor / per_second if per_second else NOMINAL_EXPOSURE_S)
+
+
+def _vibrate(frames: NDArray[np.float32], sigma_px: float, rng: np.random.Generator) -> None:
+    """Shift each frame by a random sub-pixel amount, in place (bicubic; edges repeat)."""
+    for frame, (du, dv) in zip(frames, rng.normal(0.0, sigma_px, (len(frames), 2)), strict=True):
+        matrix = np.array([[1.0, 0.0, du], [0.0, 1.0, dv]])
+        shifted = cv2.warpAffine(
+            frame,
+            matrix,
+            frame.shape[::-1],
+            flags=cv2.INTER_CUBIC,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        # Cubic interpolation overshoots at edges; light is not negative.
+        np.maximum(shifted, 0.0, out=frame)
+
+

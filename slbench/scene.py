@@ -1,0 +1,162 @@
+"""A scene: rig, objects, materials, light, detector and patterns of one measurement.
+
+:class:`Scene` is the value that everything after it takes; a TOML file in ``scenes/`` is how
+people write one (:mod:`slbench.scenefile`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, Self
+
+import numpy as np
+
+from slbench.detector import Detector
+from slbench.errors import InputError
+from slbench.objects import Artefact
+from slbench.patterns import PatternSequence
+from slbench.rig import Pose, Rig
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface scatters light.
+
+    Parameters
+    ----------
+    bsdf : {"diffuse", "rough_plastic", "rough_conductor"}
+        Lambertian; a diffuse base under a rough dielectric coat; a rough metal (both
+        microfacet models with the GGX distribution).
+    albedo : float
+        Diffuse reflectance; for a conductor a factor on its specular reflectance.
+    roughness : float
+        GGX ``alpha``; not used by ``diffuse``.
+    eta, k : float
+        Refractive index: of the coat (`eta`), or complex of the metal.  The defaults are a
+        polymer and, for `k`, steel near 550 nm.
+    """
+
+    bsdf: Literal["diffuse", "rough_plastic", "rough_conductor"] = "diffuse"
+    albedo: float = 0.7
+    roughness: float = 0.3
+    eta: float | None = None
+    k: float = 3.4
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.albedo <= 1:
+            raise InputError("material albedo", "a number in [0, 1]", self.albedo)
+        if not 0 < self.roughness <= 1:
+            raise InputError("material roughness", "a number in (0, 1]", self.roughness)
+        if self.eta is None:
+            default = 2.8 if self.bsdf == "rough_conductor" else 1.5
+            object.__setattr__(self, "eta", default)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """An artefact somewhere in the world."""
+
+    artefact: Artefact
+    pose: Pose = field(default_factory=Pose)
+    material: Material = field(default_factory=Material)
+
+
+@dataclass(frozen=True)
+class Light:
+    """Light beside the projector's direct beam.
+
+    Parameters
+    ----------
+    ambient_w_per_mm2 : float
+        Irradiance of uniform surroundings on an unobstructed surface.
+    bounces : int
+        Interreflections followed after the direct light.
+    """
+
+    ambient_w_per_mm2: float = 0.0
+    bounces: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.ambient_w_per_mm2 < np.inf:
+            raise InputError("light ambient", "zero or a positive irradiance", self)
+        if not 0 <= self.bounces <= 16:
+            raise InputError("light bounces", "0 to 16", self.bounces)
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """How long the camera exposes.
+
+    Parameters
+    ----------
+    time_s : float or None
+        An absolute exposure; needs a camera with an aperture.  None chooses the exposure by
+        the picture of the fully lit panel.
+    white_level : float
+        Where the automatic exposure puts that picture's 99th percentile of the lit pixels,
+        as a fraction of full well.
+    vibration_px : float
+        Standard deviation of the picture's shift from frame to frame, along u and v.
+    """
+
+    time_s: float | None = None
+    white_level: float = 0.8
+    vibration_px: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.time_s is not None and not 0 < self.time_s < np.inf:
+            raise InputError("exposure time", "a positive time (s)", self.time_s)
+        if not 0 < self.white_level <= 1:
+            raise InputError("exposure white_level", "a fraction in (0, 1]", self.white_level)
+        if not 0 <= self.vibration_px <= 10:
+            raise InputError("exposure vibration", "0 to 10 px", self.vibration_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A whole measurement.
+
+    Parameters
+    ----------
+    name : str
+    rig : Rig
+    objects : tuple of SceneObject
+        At least one; the index is the object id of the ground truth.
+    sequence : PatternSequence
+    detector : Detector
+    exposure : Exposure
+    light : Light
+    samples : int
+        Monte Carlo samples a pixel.
+    specification : dict
+        The scene file's content, for provenance.
+    """
+
+    name: str
+    rig: Rig
+    objects: tuple[SceneObject, ...]
+    sequence: PatternSequence
+    detector: Detector = field(default_factory=Detector)
+    exposure: Exposure = field(default_factory=Exposure)
+    light: Light = field(default_factory=Light)
+    samples: int = 64
+    specification: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.objects:
+            raise InputError(f"scene {self.name}: objects", "at least one object", "none")
+        if not 1 <= self.samples <= 65536:
+            raise InputError(f"scene {self.name}: samples", "1 to 65536", self.samples)
+        panel = (self.rig.projector.width, self.rig.projector.height)
+        if self.sequence.panel != panel:
+            raise InputError(
+                f"scene {self.name}: patterns",
+                f"a sequence for the projector's {panel[0]} x {panel[1]} panel",
+                f"{self.sequence.panel[0]} x {self.sequence.panel[1]}",
+            )
+
+    def with_patterns(self, text: str, shifts: int = 3, axes: str = "u") -> Self:
+        """Return the scene with another pattern sequence (see `PatternSequence.parse`)."""
+        return replace(
+            self, sequence=PatternSequence.parse(text, self.sequence.panel, shifts, axes)
+        )

@@ -1,0 +1,331 @@
+"""Scene files: TOML to :class:`slbench.scene.Scene`.
+
+The unit of a number is in its key; an unknown key, a missing one or a value of the wrong kind
+is refused with the key's full name.  ``docs/scene-files.md`` lists the keys.  A path written
+in a scene is relative to the scene's folder and cannot leave it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
+
+from slbench import objects, resources
+from slbench.detector import Detector
+from slbench.errors import InputError
+from slbench.io import read_toml
+from slbench.patterns import PatternSequence
+from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
+from slbench.rig.opencv import read_rig
+from slbench.scene import Exposure, Light, Material, Scene, SceneObject
+from slbench.validation import Finite, Parameters, validated
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Vector3 = tuple[Finite, Finite, Finite]
+
+
+class _Optics(Parameters):
+    """What camera and projector have in common."""
+
+    resolution_px: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+    pitch_um: Positive | tuple[Positive, Positive]
+    focal_length_mm: Positive | None = None
+    f_number: Positive | None = None
+    aperture_radius_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    focus_distance_mm: Positive | None = None
+    magnification: Positive | None = None
+    numerical_aperture: Annotated[float, Field(ge=0, lt=1)] | None = None
+    natural_vignetting: bool = True
+    principal_point_px: tuple[Finite, Finite] | None = None
+    distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    tilt_deg: tuple[Finite, Finite] = (0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _one_lens(self) -> _Optics:
+        if (self.focal_length_mm is None) == (self.magnification is None):
+            raise ValueError(
+                "focal_length_mm (perspective) or magnification (telecentric), one of them"
+            )
+        if self.f_number is not None and self.aperture_radius_mm is not None:
+            raise ValueError("f_number or aperture_radius_mm, not both")
+        if self.magnification is None and self.numerical_aperture is not None:
+            raise ValueError("numerical_aperture with a telecentric lens only")
+        return self
+
+    def arguments(self, distance_mm: float) -> dict[str, Any]:
+        """Return the arguments of Camera or Projector, focused at `distance_mm` by default."""
+        focus = self.focus_distance_mm or distance_mm
+        if self.magnification is not None:
+            lens = Lens.telecentric(self.magnification, self.numerical_aperture or 0.0, focus)
+        else:
+            assert self.focal_length_mm is not None  # by _one_lens
+            radius = self.aperture_radius_mm or 0.0
+            if self.f_number is not None:
+                radius = self.focal_length_mm / (2.0 * self.f_number)
+            lens = Lens(
+                self.focal_length_mm, radius, focus, natural_vignetting=self.natural_vignetting
+            )
+        pitch = self.pitch_um if isinstance(self.pitch_um, tuple) else (self.pitch_um,) * 2
+        return {
+            "width": self.resolution_px[0],
+            "height": self.resolution_px[1],
+            "pitch_mm": (pitch[0] * 1e-3, pitch[1] * 1e-3),
+            "lens": lens,
+            "principal_point": self.principal_point_px,
+            "distortion": self.distortion,
+            "tilt_rad": (float(np.deg2rad(self.tilt_deg[0])), float(np.deg2rad(self.tilt_deg[1]))),
+        }
+
+
+class _Detector(Parameters):
+    bit_depth: int | None = None
+    full_well_e: Finite | None = None
+    read_noise_e: Finite | None = None
+    dark_current_e_per_s: Finite | None = None
+    quantum_efficiency: Finite | None = None
+    wavelength_nm: Finite | None = None
+    prnu: Finite | None = None
+    dsnu_e: Finite | None = None
+    offset_dn: Finite | None = None
+    gain_e_per_dn: Finite | None = None
+    seed: int | None = None
+
+
+class _Camera(_Optics):
+    detector: _Detector = _Detector()
+
+
+class _Projector(_Optics):
+    flux_w: Positive = 1.0
+    bit_depth: Annotated[int, Field(ge=0, le=16)] = 8
+    gamma: Positive = 1.0
+
+
+class _Place(Parameters):
+    """An explicit pose: where a device stands and what it looks at."""
+
+    position_mm: Vector3
+    target_mm: Vector3 = (0.0, 0.0, 0.0)
+    down: Vector3 = (0.0, -1.0, 0.0)
+
+
+class _Rig(Parameters):
+    z_ref_mm: Finite | None = None
+    w_mm: Finite | None = None
+    h_mm: Finite | None = None
+    l_mm: Finite | None = None
+    alpha_p_deg: Finite | None = None
+    beta_p_deg: Finite | None = None
+    camera: _Place | None = None
+    projector: _Place | None = None
+    file: str | None = None
+    volume_mm: tuple[Positive, Positive, Positive] = (60.0, 70.0, 30.0)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> _Rig:
+        design = self.design_values()
+        places = (self.camera, self.projector)
+        ways = [
+            all(value is not None for value in design),
+            all(place is not None for place in places),
+            self.file is not None,
+        ]
+        used = [
+            any(value is not None for value in design),
+            any(place is not None for place in places),
+            self.file is not None,
+        ]
+        if sum(ways) != 1 or used != ways:
+            raise ValueError(
+                "either the six of z_ref_mm w_mm h_mm l_mm alpha_p_deg beta_p_deg, "
+                "or camera and projector, or file"
+            )
+        return self
+
+    def design_values(self) -> tuple[float | None, ...]:
+        return (self.z_ref_mm, self.w_mm, self.h_mm, self.l_mm, self.alpha_p_deg, self.beta_p_deg)
+
+
+class _Object(Parameters):
+    artefact: str | None = None
+    mesh: str | None = None
+    unit: Literal["um", "mm", "cm", "inch", "m"] | None = None
+    centre: bool = False
+    kind: str | None = None
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    position_mm: Vector3 = (0.0, 0.0, 0.0)
+    rotation_deg: Vector3 = (0.0, 0.0, 0.0)
+    material: str | None = None
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> _Object:
+        if sum(way is not None for way in (self.artefact, self.mesh, self.kind)) != 1:
+            raise ValueError("one of artefact (a name), mesh (a file with its unit) or kind")
+        if (self.mesh is None) != (self.unit is None):
+            raise ValueError("a unit with a mesh file, and with nothing else")
+        return self
+
+
+class _Material(Parameters):
+    bsdf: Literal["diffuse", "rough_plastic", "rough_conductor"] = "diffuse"
+    albedo: Annotated[float, Field(ge=0, le=1)] = 0.7
+    roughness: Annotated[float, Field(gt=0, le=1)] = 0.3
+    eta: Positive | None = None
+    k: Positive = 3.4
+
+
+class _Light(Parameters):
+    ambient_w_per_m2: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    bounces: Annotated[int, Field(ge=0, le=16)] = 0
+
+
+class _Exposure(Parameters):
+    time_ms: Positive | None = None
+    white_level: Annotated[float, Field(gt=0, le=1)] = 0.8
+    vibration_px: Annotated[float, Field(ge=0, le=10)] = 0.0
+
+
+class _Patterns(Parameters):
+    sequence: str = "1,10,50"
+    shifts: int = 3
+    axes: str = "u"
+
+
+class _Render(Parameters):
+    samples: Annotated[int, Field(ge=1, le=65536)] = 64
+
+
+class _SceneFile(Parameters):
+    name: str
+    description: str = ""
+    camera: _Camera | None = None
+    projector: _Projector | None = None
+    rig: _Rig
+    objects: Annotated[list[_Object], Field(min_length=1)]
+    materials: dict[str, _Material] = Field(default_factory=dict)
+    light: _Light = _Light()
+    exposure: _Exposure = _Exposure()
+    patterns: _Patterns = _Patterns()
+    render: _Render = _Render()
+
+    @model_validator(mode="after")
+    def _devices(self) -> _SceneFile:
+        if self.rig.file is None and (self.camera is None or self.projector is None):
+            raise ValueError("a [camera] and a [projector] table")
+        if self.rig.file is not None and (self.camera or self.projector):
+            raise ValueError("no [camera] or [projector] beside rig.file, which holds both")
+        return self
+
+
+def load_scene(name_or_path: str | Path) -> Scene:
+    """Load a scene from a TOML file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A file, or the name of a shipped scene such as ``"step-block"``.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        Naming the file and key of the first thing that cannot be used.
+    """
+    path = resources.find("scenes", name_or_path)
+    content = read_toml(path)
+    file = validated(_SceneFile, content, path.name, separator=": ")
+    try:
+        return _build(file, path, content)
+    except InputError as error:
+        if error.where.startswith(path.name):
+            raise
+        raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
+
+
+def _build(file: _SceneFile, path: Path, content: dict[str, Any]) -> Scene:
+    rig = _rig(file, path.parent)
+    panel = (rig.projector.width, rig.projector.height)
+    given = file.camera.detector.model_dump(exclude_none=True) if file.camera else {}
+    return Scene(
+        name=file.name,
+        rig=rig,
+        objects=tuple(_object(file, i, path) for i in range(len(file.objects))),
+        sequence=PatternSequence.parse(
+            file.patterns.sequence, panel, file.patterns.shifts, file.patterns.axes
+        ),
+        detector=Detector(**given),
+        exposure=Exposure(
+            None if file.exposure.time_ms is None else file.exposure.time_ms * 1e-3,
+            file.exposure.white_level,
+            file.exposure.vibration_px,
+        ),
+        light=Light(file.light.ambient_w_per_m2 * 1e-6, file.light.bounces),
+        samples=file.render.samples,
+        specification=content,
+    )
+
+
+def _rig(file: _SceneFile, folder: Path) -> Rig:
+    values = file.rig
+    if values.file is not None:
+        return read_rig(resources.inside(folder, values.file))
+    assert file.camera is not None and file.projector is not None  # by _devices
+    if values.camera is not None and values.projector is not None:
+        poses = [
+            Pose.looking_at(place.position_mm, place.target_mm, place.down)
+            for place in (values.camera, values.projector)
+        ]
+    else:
+        z_ref, w, h, length, alpha, beta = (float(x or 0.0) for x in values.design_values())
+        design = DesignVariables(
+            z_ref, w, h, length, float(np.deg2rad(alpha)), float(np.deg2rad(beta))
+        )
+        poses = list(design.poses())
+    # In focus where the axis comes closest to the origin, unless the file says otherwise.
+    camera_focus, projector_focus = (float(-pose.position @ pose.rotation[:, 2]) for pose in poses)
+    for name, distance in (("camera", camera_focus), ("projector", projector_focus)):
+        if distance <= 0:
+            raise InputError(f"rig.{name}", "a device that faces the origin", "it faces away")
+    camera = Camera(**file.camera.arguments(camera_focus), pose=poses[0])
+    projector = Projector(
+        **file.projector.arguments(projector_focus),
+        pose=poses[1],
+        flux_w=file.projector.flux_w,
+        bit_depth=file.projector.bit_depth or None,
+        gamma=file.projector.gamma,
+    )
+    return Rig(camera, projector, values.volume_mm)
+
+
+def _object(file: _SceneFile, index: int, path: Path) -> SceneObject:
+    values = file.objects[index]
+    where = f"{path.name}: objects[{index}]"
+    if values.artefact is not None:
+        given = values.artefact
+        is_file = given.endswith(".toml") or "/" in given or "\\" in given
+        artefact = objects.load(resources.inside(path.parent, given) if is_file else given)
+    elif values.mesh is not None:
+        parameters = {"path": values.mesh, "unit": values.unit, "centre": values.centre}
+        artefact = objects.build(
+            "mesh", parameters, where, name=Path(values.mesh).stem, folder=path.parent
+        )
+    else:
+        assert values.kind is not None  # by _one_shape
+        artefact = objects.build(
+            values.kind, values.parameters, f"{where}.parameters", folder=path.parent
+        )
+    material = Material()
+    if values.material is not None:
+        if values.material not in file.materials:
+            known = ", ".join(file.materials) or "none is defined"
+            raise InputError(f"{where}.material", f"one of [materials]: {known}", values.material)
+        material = Material(**file.materials[values.material].model_dump())
+    rotation = Rotation.from_euler("XYZ", values.rotation_deg, degrees=True).as_matrix()
+    return SceneObject(artefact, Pose(rotation, np.array(values.position_mm)), material)
