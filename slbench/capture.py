@@ -43,7 +43,14 @@ from slbench.detector import (
 )
 from slbench.errors import InputError
 from slbench.io import read_grey, read_toml, write_png, write_toml
-from slbench.patterns import NoiseModel, PatternSequence, PhaseMap, decode, panel_response
+from slbench.patterns import (
+    Axis,
+    NoiseModel,
+    PatternSequence,
+    PhaseMap,
+    decode,
+    panel_response,
+)
 from slbench.rig import Rig
 from slbench.rig.opencv import read_rig, write_rig
 from slbench.scene import Scene
@@ -51,6 +58,8 @@ from slbench.transport import LightTransport
 
 MANIFEST = "capture.toml"
 _FORMAT = 1
+#: Memory for noise-free frames at a time.
+_FLOOR_BYTES = 1 << 27
 _KEYS = {"format", "bit_depth", "frames", "rig", "patterns", "noise", "exposure_ms"}
 
 #: Exposure time that the dark signal is computed with where the light's power is unknown (a
@@ -283,18 +292,29 @@ def radiance_batches(
             yield indices[part], transport.relight(panel[part], axis)
 
 
-def noise_free_phase(scene: Scene, transport: LightTransport) -> PhaseMap:
+def noise_free_coordinates(scene: Scene, transport: LightTransport) -> dict[Axis, NDArray]:
     """Decode the radiance itself, before the detector: the renderer's own error floor.
 
     What is left is not noise but geometry and sampling: the projector's square pixels, the
     pixel's footprint, and the Monte Carlo error of the light transport.
+
+    Returns
+    -------
+    dict of axis to (V, U) float
+        Panel coordinates, NaN where the modulation is below 1/200 of full white.
     """
-    stack = np.empty((scene.sequence.n_frames, *transport.shape), np.float32)
-    for indices, radiance in radiance_batches(scene, transport):
-        stack[indices] = radiance
-    white = float(np.percentile(transport.white(), 99.0)) or 1.0
-    stack *= np.float32(200.0 / white)
-    return decode(stack, scene.sequence, noise=NoiseModel(step_dn=0.0), min_modulation=1.0)
+    scale = np.float32(200.0 / max(float(np.percentile(transport.white(), 99.0)), 1e-30))
+    height, width = transport.shape
+    rows = max(1, _FLOOR_BYTES // (4 * width * scene.sequence.n_frames))
+    bands: list[dict[Axis, NDArray]] = []
+    for first in range(0, height, rows):
+        band = transport.band(slice(first, first + rows))
+        stack = np.empty((scene.sequence.n_frames, *band.shape), np.float32)
+        for indices, radiance in radiance_batches(scene, band):
+            stack[indices] = radiance * scale
+        exact = NoiseModel(step_dn=0.0)
+        bands.append(decode(stack, scene.sequence, noise=exact, min_modulation=1.0).coordinate)
+    return {axis: np.concatenate([band[axis] for band in bands]) for axis in bands[0]}
 
 
 def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
@@ -313,9 +333,7 @@ def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
     per_second = None
     if np.isfinite(camera.lens.f_number):
         irradiance = camera.etendue_mm2_sr / area  # on the sensor, per unit scene radiance
-        per_second = float(
-            photons_from_irradiance(irradiance, 1.0, area, detector.wavelength_nm)
-        )
+        per_second = float(photons_from_irradiance(irradiance, 1.0, area, detector.wavelength_nm))
     time = scene.exposure.time_s
     if time is not None:
         if per_second is None:
@@ -343,5 +361,3 @@ def _vibrate(frames: NDArray[np.float32], sigma_px: float, rng: np.random.Genera
         )
         # Cubic interpolation overshoots at edges; light is not negative.
         np.maximum(shifted, 0.0, out=frame)
-
-

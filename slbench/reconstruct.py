@@ -232,9 +232,7 @@ def nearest_points(
             t = (along - cosine * p_along) / denominator
             s = (cosine * along - p_along) / denominator
         t[~((t > 0) & (s > 0))] = np.nan
-        return 0.5 * (
-            origins + t[:, None] * directions + p_origin + s[:, None] * p_direction
-        )
+        return 0.5 * (origins + t[:, None] * directions + p_origin + s[:, None] * p_direction)
 
     step = 0.01
     sensitivity = np.empty((len(panel), 2, 3))

@@ -276,7 +276,8 @@ def _rig(file: _SceneFile, folder: Path) -> Rig:
     values = file.rig
     if values.file is not None:
         return read_rig(resources.inside(folder, values.file))
-    assert file.camera is not None and file.projector is not None  # by _devices
+    assert file.camera is not None  # both by _devices
+    assert file.projector is not None
     if values.camera is not None and values.projector is not None:
         poses = [
             Pose.looking_at(place.position_mm, place.target_mm, place.down)

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.objects import Artefact, PlaneFeature, SphereFeature
+from slbench.objects import REFERENCE, Artefact, PlaneFeature, SphereFeature
 from slbench.patterns import PhaseMap
 from slbench.reconstruct import PointCloud
 from slbench.rig import Pose
@@ -40,12 +40,14 @@ OUTLIER_SIGMAS = 6.0
 class StepScore:
     """Height of one step above the reference face, mm.
 
-    ``measured_mm`` is the height of the step's least-squares plane over the reference's, at
-    the middle of the step and along the reference's normal; ``std_mm`` the standard deviation
-    of the step's points about their own plane; ``uncertainty_mm`` the standard uncertainty of
-    the height that these two planes' scatter leaves.
+    ``measured_mm`` is the difference between the least-squares planes of step and reference,
+    each taken over the middle of its own face, along the object's z axis (thesis 6.2.3: the
+    block is aligned with the stage); ``std_mm`` the standard deviation of the step's points
+    about their plane; ``uncertainty_mm`` the standard uncertainty of the height that the
+    points' scatter leaves.
     """
 
+    object: str
     name: str
     nominal_mm: float
     measured_mm: float
@@ -58,6 +60,7 @@ class StepScore:
 class PlaneScore:
     """Flatness of one plane: range of residuals, mm, 0.3 % of the points set aside."""
 
+    object: str
     name: str
     flatness_mm: float
     std_mm: float
@@ -68,6 +71,7 @@ class PlaneScore:
 class SphereScore:
     """Least-squares sphere, mm; `form_mm` is the range of residuals, 0.3 % set aside."""
 
+    object: str
     name: str
     nominal_radius_mm: float
     radius_mm: float
@@ -76,6 +80,9 @@ class SphereScore:
     form_mm: float
     std_mm: float
     points: int
+
+
+FeatureScore = StepScore | PlaneScore | SphereScore
 
 
 @dataclass(frozen=True)
@@ -181,21 +188,22 @@ def _axes(phase: PhaseMap) -> list[tuple[int, Any]]:
 
 def _features(
     cloud: PointCloud, truth: GroundTruth, objects: tuple[SceneObject, ...]
-) -> list[StepScore | PlaneScore | SphereScore]:
+) -> list[FeatureScore]:
     """Fit the features of every object to the points that lie on it."""
-    found: list[StepScore | PlaneScore | SphereScore] = []
+    found: list[FeatureScore] = []
     owner = truth.object_id[cloud.pixels[:, 1], cloud.pixels[:, 0]]
+    # What a projector's square pixels do to the phase is the same all along a panel line, so
+    # errors go together along the camera line that follows it.
+    line = cloud.pixels[:, 0 if "u" in cloud.axes else 1]
     for k, item in enumerate(objects):
         chosen = owner == k
-        found += fit_features(
-            cloud.points[chosen], item.artefact, item.pose, cloud.sigma_mm[chosen]
-        )
+        found += fit_features(cloud.points[chosen], item.artefact, item.pose, line[chosen])
     return found
 
 
 def fit_features(
-    points: Array, artefact: Artefact, pose: Pose, sigma_mm: Array | None = None
-) -> list[StepScore | PlaneScore | SphereScore]:
+    points: Array, artefact: Artefact, pose: Pose, groups: NDArray[np.integer] | None = None
+) -> list[FeatureScore]:
     """Fit an artefact's features to measured points; no ground truth needed.
 
     Parameters
@@ -205,54 +213,41 @@ def fit_features(
     artefact : Artefact
     pose : Pose
         Where the artefact is; good to a fraction of the features' margins.
-    sigma_mm : (N, 3) float, optional
-        Predicted standard deviations; without them uncertainties come from the residuals.
+    groups : (N,) int, optional
+        Points of one group have errors that go together (e.g. those of one image column);
+        without them every point is its own.
 
     Returns
     -------
     list of StepScore, PlaneScore, SphereScore
-        Features with fewer than 20 points are left out.
+        Features with fewer than 20 points are left out.  Uncertainties are cluster-robust:
+        they allow for any correlation within a group (Liang and Zeger, Biometrika 73, 1986).
     """
     local = pose.to_local(points)
-    sigma = np.zeros_like(local) if sigma_mm is None else sigma_mm
-    reference = artefact.reference
-    planes: dict[str, _Plane] = {}
+    labels = np.arange(len(local)) if groups is None else np.asarray(groups)
+    faces: list[PlaneFeature] = []
+    chosen: list[NDArray[np.bool_]] = []
     for feature in artefact.planes:
-        chosen = feature.contains(local)
-        # A neighbour's points can lie over the face: a wall's, a shadow's.  Half the distance
-        # to the next level would do; a twentieth of the artefact's height is tighter.
-        near = np.abs(local[:, 2] - feature.z_mm) < _reach(artefact, feature)
-        chosen &= near
-        if np.count_nonzero(chosen) >= MIN_POINTS:
-            planes[feature.name] = _Plane.fit(local[chosen])
-    found: list[StepScore | PlaneScore | SphereScore] = [
-        PlaneScore(name, _trimmed_range(plane.residuals), plane.std, len(plane.residuals))
-        for name, plane in planes.items()
-    ]
-    base = planes.get(reference.name) if reference else None
-    for feature in artefact.steps:
-        plane = planes.get(feature.name)
-        if base is None or plane is None:
-            continue
-        middle = np.array([np.mean(feature.x_mm), np.mean(feature.y_mm), 0.0])
-        middle[2] = plane.height(middle)
-        height = float((middle - base.centre) @ base.normal)
-        found.append(
-            StepScore(
-                feature.name,
-                feature.height_mm,
-                height,
-                plane.std,
-                float(np.hypot(plane.uncertainty(middle), base.uncertainty(middle))),
-                len(plane.residuals),
-            )
-        )
+        over = feature.contains(local)
+        # Gross errors of the fringe order would tilt the plane; they are far off the face.
+        over &= np.abs(local[:, 2] - feature.z_mm) < _reach(artefact, feature)
+        if np.count_nonzero(over) >= MIN_POINTS:
+            faces.append(feature)
+            chosen.append(over)
+    planes = {
+        face.name: _Plane.fit(face, local[over], labels[over])
+        for face, over in zip(faces, chosen, strict=True)
+    }
+    found: list[FeatureScore] = [plane.flatness(artefact.name) for plane in planes.values()]
+    base = planes.get(REFERENCE)
+    if base is not None:
+        steps = (planes[face.name] for face in faces if face.name != REFERENCE)
+        found += [plane.step(artefact.name, base) for plane in steps]
     for sphere in artefact.spheres:
-        centre = np.array(sphere.centre_mm)
-        near = np.abs(np.linalg.norm(local - centre, axis=-1) - sphere.radius_mm)
-        chosen = near < 0.2 * sphere.radius_mm
-        if np.count_nonzero(chosen) >= MIN_POINTS:
-            found.append(_score_sphere(sphere, local[chosen], sigma[chosen]))
+        distance = np.linalg.norm(local - np.array(sphere.centre_mm), axis=-1)
+        near = np.abs(distance - sphere.radius_mm) < 0.2 * sphere.radius_mm
+        if np.count_nonzero(near) >= MIN_POINTS:
+            found.append(_score_sphere(artefact.name, sphere, local[near], labels[near]))
     return found
 
 
@@ -264,43 +259,62 @@ def _reach(artefact: Artefact, feature: PlaneFeature) -> float:
 
 @dataclass(frozen=True)
 class _Plane:
-    """Least-squares plane ``z = c0 + c1 (x - cx) + c2 (y - cy)`` with its covariance."""
+    """Least-squares plane through the points of one face, in the object frame.
 
-    centre: Array
-    slopes: Array
+    ``height_mm`` is its z over the middle of the face's interior, ``variance_mm2`` the
+    variance of that.
+    """
+
+    face: PlaneFeature
+    height_mm: float
+    variance_mm2: float
     residuals: Array
-    covariance: Array
 
     @classmethod
-    def fit(cls, points: Array) -> _Plane:
-        centre = points.mean(axis=0)
-        x, y, z = (points - centre).T
-        design = np.column_stack((np.ones_like(x), x, y))
-        inverse = np.linalg.inv(design.T @ design)
-        coefficients = inverse @ (design.T @ z)
-        residuals = z - design @ coefficients
-        variance = float(residuals @ residuals) / max(len(z) - 3, 1)
-        centre = centre + np.array([0.0, 0.0, coefficients[0]])
-        tilt = 1.0 / np.sqrt(1.0 + coefficients[1] ** 2 + coefficients[2] ** 2)
-        return cls(centre, coefficients[1:], residuals * tilt, inverse * variance)
+    def fit(cls, face: PlaneFeature, points: Array, labels: NDArray[np.integer]) -> _Plane:
+        middle = np.array([np.mean(face.x_mm), np.mean(face.y_mm)])
+        design = np.column_stack((np.ones(len(points)), points[:, :2] - middle))
+        coefficients, *_ = np.linalg.lstsq(design, points[:, 2], rcond=None)
+        residuals = points[:, 2] - design @ coefficients
+        covariance = _clustered_covariance(design, residuals, labels)
+        normal = residuals / np.sqrt(1.0 + np.sum(coefficients[1:] ** 2))
+        return cls(face, float(coefficients[0]), float(covariance[0, 0]), normal)
 
-    @property
-    def normal(self) -> Array:
-        n = np.array([-self.slopes[0], -self.slopes[1], 1.0])
-        return n / np.linalg.norm(n)
+    def flatness(self, owner: str) -> PlaneScore:
+        return PlaneScore(
+            owner,
+            self.face.name,
+            _trimmed_range(self.residuals),
+            _spread(self.residuals, 3),
+            len(self.residuals),
+        )
 
-    @property
-    def std(self) -> float:
-        return float(np.sqrt(np.sum(self.residuals**2) / max(len(self.residuals) - 3, 1)))
+    def step(self, owner: str, base: _Plane) -> StepScore:
+        return StepScore(
+            owner,
+            self.face.name,
+            self.face.height_mm,
+            self.height_mm - base.height_mm,
+            _spread(self.residuals, 3),
+            float(np.sqrt(self.variance_mm2 + base.variance_mm2)),
+            len(self.residuals),
+        )
 
-    def height(self, point: Array) -> float:
-        """Return the plane's z over a point's x and y."""
-        return float(self.centre[2] + self.slopes @ (point[:2] - self.centre[:2]))
 
-    def uncertainty(self, point: Array) -> float:
-        """Return the standard uncertainty of the plane's z over a point."""
-        row = np.concatenate(([1.0], point[:2] - self.centre[:2]))
-        return float(np.sqrt(row @ self.covariance @ row))
+def _clustered_covariance(jacobian: Array, residuals: Array, labels: NDArray) -> Array:
+    """Covariance of least-squares coefficients, robust to correlation within groups."""
+    _, group = np.unique(labels, return_inverse=True)
+    scores = np.zeros((group.max() + 1, jacobian.shape[1]))
+    np.add.at(scores, group, jacobian * residuals[:, None])
+    bread = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    n, k, g = len(residuals), jacobian.shape[1], len(scores)
+    correction = g / max(g - 1, 1) * (n - 1) / max(n - k, 1)
+    return correction * bread @ (scores.T @ scores) @ bread
+
+
+def _spread(residuals: Array, fitted: int) -> float:
+    """Return the standard deviation of residuals after `fitted` parameters were taken from them."""
+    return float(np.sqrt(np.sum(residuals**2) / max(len(residuals) - fitted, 1)))
 
 
 def fit_sphere(points: Array) -> tuple[Array, float, Array, Array]:
@@ -316,8 +330,8 @@ def fit_sphere(points: Array) -> tuple[Array, float, Array, Array]:
     radius : float
     residuals : (N,) float
         Distance from the centre minus the radius.
-    covariance : (4, 4) float
-        Of centre and radius, from the residuals' variance.
+    jacobian : (N, 4) float
+        Derivative of the residuals by centre and radius.
     """
     # Start from the algebraic fit |p|^2 = 2 c.p + (r^2 - |c|^2).
     offset = points.mean(axis=0)
@@ -330,33 +344,36 @@ def fit_sphere(points: Array) -> tuple[Array, float, Array, Array]:
         toward = p - centre
         distance = np.linalg.norm(toward, axis=-1)
         jacobian = np.column_stack((-toward / distance[:, None], -np.ones(len(p))))
-        step, *_ = np.linalg.lstsq(jacobian, -(distance - radius), rcond=None)
+        step, *_ = np.linalg.lstsq(jacobian, radius - distance, rcond=None)
         centre = centre + step[:3]
         radius += float(step[3])
         if np.max(np.abs(step)) < 1e-12 * max(radius, 1.0):
             break
     residuals = np.linalg.norm(p - centre, axis=-1) - radius
-    variance = float(residuals @ residuals) / max(len(p) - 4, 1)
-    return centre + offset, radius, residuals, np.linalg.inv(jacobian.T @ jacobian) * variance
+    return centre + offset, radius, residuals, jacobian
 
 
-def _score_sphere(sphere: SphereFeature, points: Array, sigma: Array) -> SphereScore:
-    centre, radius, residuals, covariance = fit_sphere(points)
+def _score_sphere(
+    name: str, sphere: SphereFeature, points: Array, labels: NDArray[np.integer]
+) -> SphereScore:
+    centre, radius, residuals, jacobian = fit_sphere(points)
+    covariance = _clustered_covariance(jacobian, residuals, labels)
     return SphereScore(
+        name,
         sphere.name,
         sphere.radius_mm,
         radius,
         float(np.sqrt(covariance[3, 3])),
         float(np.linalg.norm(centre - np.array(sphere.centre_mm))),
         _trimmed_range(residuals),
-        float(np.sqrt(np.sum(residuals**2) / max(len(residuals) - 4, 1))),
+        _spread(residuals, 4),
         len(points),
     )
 
 
 def _trimmed_range(residuals: Array) -> float:
     """Range of the residuals after the 0.3 % furthest from zero have been set aside."""
-    kept = np.sort(np.abs(residuals)).size - int(np.ceil(SET_ASIDE * residuals.size))
+    kept = residuals.size - int(np.ceil(SET_ASIDE * residuals.size))
     order = np.argsort(np.abs(residuals))[: max(kept, 1)]
     return float(np.ptp(residuals[order]))
 
@@ -373,5 +390,5 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
 
 
-def _ratio(part: int, whole: int) -> float:
+def _ratio(part: Any, whole: Any) -> float:
     return float(part) / float(whole) if whole else float("nan")

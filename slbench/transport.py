@@ -158,6 +158,12 @@ class SparseRows:
             start = stop
         return cls(indptr, indices, data, width)
 
+    def band(self, first: int, last: int) -> SparseRows:
+        """Return rows `first` to `last`; nothing is copied but the row starts."""
+        start, stop = self.indptr[first], self.indptr[last]
+        indptr = self.indptr[first : last + 1] - start
+        return SparseRows(indptr, self.indices[start:stop], self.data[start:stop], self.width)
+
     def scaled(self, factors: NDArray[np.float64]) -> SparseRows:
         """Return the rows multiplied by `factors` (rows,)."""
         repeated = np.repeat(factors.astype(np.float32), np.diff(self.indptr))
@@ -264,6 +270,15 @@ class LightTransport:
             raise InputError("camera image", f"shape {self.shape}", image.shape)
         seen = self._rows("uv").tocsr().T @ image.ravel()
         return seen.reshape(self.panel[1], self.panel[0])
+
+    def band(self, rows: slice) -> LightTransport:
+        """Return the transport to the image rows `rows` (without step)."""
+        first, last, _ = rows.indices(self.shape[0])
+        width = self.shape[1]
+        marginals = {
+            name: block.band(first * width, last * width) for name, block in self.marginals.items()
+        }
+        return LightTransport(marginals, self.ambient[first:last], self.panel, self.samples)
 
     def batches(self, n_frames: int, budget_bytes: int = 1 << 28) -> Iterator[slice]:
         """Split `n_frames` so that each batch of float32 images stays within `budget_bytes`."""

@@ -7,14 +7,16 @@ arrays and dictionaries only; what they mean is the caller's business.
 """
 
 from slbench.io.arrays import read_npz, read_ply, write_npz, write_ply
-from slbench.io.atomic import atomic_path
+from slbench.io.atomic import atomic_folder, atomic_path
 from slbench.io.images import read_exr, read_grey, write_exr, write_png
 from slbench.io.opencv_yaml import read_opencv_yaml, write_opencv_yaml
 from slbench.io.origin import provenance, write_provenance
-from slbench.io.text import read_json, read_toml, write_json, write_toml
+from slbench.io.text import plain, read_json, read_toml, write_json, write_toml
 
 __all__ = [
+    "atomic_folder",
     "atomic_path",
+    "plain",
     "provenance",
     "read_exr",
     "read_grey",

@@ -6,6 +6,7 @@ POSIX and Windows both do in one step, so a reader never sees half a file.
 
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -55,6 +56,48 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         raise InputError(path, "a file that can be written", error.strerror) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_folder(path: str | Path) -> Iterator[Path]:
+    """Give a temporary folder whose entries move into `path` when the block succeeds.
+
+    Entries of the same name are replaced whole; others in an existing folder stay.  When the
+    block raises, nothing of it is left and an earlier result is untouched.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder that is to hold the entries.
+
+    Yields
+    ------
+    Path
+        An empty folder on the same file system.
+
+    Raises
+    ------
+    InputError
+        If `path` is a file, or the folder cannot be made.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise InputError(path, "a folder", "a file")
+    temporary = path.parent / f".{path.name or 'out'}.{secrets.token_hex(6)}"
+    try:
+        temporary.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(path, "a folder that can be made", error.strerror) from error
+    try:
+        yield temporary
+        path.mkdir(exist_ok=True)
+        for entry in sorted(temporary.iterdir()):
+            target = path / entry.name
+            if target.is_dir() and not target.is_symlink():
+                shutil.rmtree(target)
+            os.replace(entry, target)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def existing(path: str | Path) -> Path:

@@ -29,7 +29,7 @@ def write_json(path: str | Path, values: Any) -> None:
     InputError
         If something else is in it, named by its place.
     """
-    text = json.dumps(_plain(values, str(path)), indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(plain(values, str(path)), indent=2, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (text + "\n").encode())
 
 
@@ -77,9 +77,9 @@ def write_toml(path: str | Path, values: Mapping[str, Any]) -> None:
     InputError
         If something else is in it.
     """
-    plain = _plain(values, str(path), keep_non_finite=True)
+    content = plain(values, str(path), keep_non_finite=True)
     try:
-        text = tomli_w.dumps(plain)
+        text = tomli_w.dumps(content)
     except (TypeError, ValueError, AttributeError) as error:
         raise InputError(path, "values that TOML can hold", error) from error
     write_bytes(path, text.encode())
@@ -110,8 +110,28 @@ def read_toml(path: str | Path) -> dict[str, Any]:
         raise InputError(path, "a TOML file", error) from error
 
 
-def _plain(value: Any, where: str, keep_non_finite: bool = False) -> Any:
-    """Reduce NumPy values, paths and tuples to what JSON and TOML writers know."""
+def plain(value: Any, where: str = "value", keep_non_finite: bool = False) -> Any:
+    """Reduce NumPy values, paths and tuples to what JSON and TOML writers know.
+
+    Parameters
+    ----------
+    value : object
+        As for :func:`write_json`.
+    where : str
+        What to call it in an error.
+    keep_non_finite : bool
+        Whether NaN and infinity stay, which JSON has not; else they become None.
+
+    Returns
+    -------
+    object
+        Dictionaries, lists, numbers, strings, booleans and None.
+
+    Raises
+    ------
+    InputError
+        For anything else, named by its place.
+    """
     if value is None or isinstance(value, str | bool | int):
         return value
     if isinstance(value, float):
@@ -119,12 +139,11 @@ def _plain(value: Any, where: str, keep_non_finite: bool = False) -> Any:
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biufU":
-        return _plain(value.tolist(), where, keep_non_finite)
+        return plain(value.tolist(), where, keep_non_finite)
     if isinstance(value, Mapping):
         return {
-            str(key): _plain(item, f"{where}: {key}", keep_non_finite)
-            for key, item in value.items()
+            str(key): plain(item, f"{where}: {key}", keep_non_finite) for key, item in value.items()
         }
     if isinstance(value, list | tuple):
-        return [_plain(item, f"{where}[{i}]", keep_non_finite) for i, item in enumerate(value)]
+        return [plain(item, f"{where}[{i}]", keep_non_finite) for i, item in enumerate(value)]
     raise InputError(where, "numbers, texts, lists and tables", type(value).__name__)

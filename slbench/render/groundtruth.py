@@ -128,9 +128,7 @@ class _Rays:
         start = point + normal * scale * 1e-5
         toward = source - start
         length = np.linalg.norm(toward, axis=-1)
-        ray = mi.Ray3f(
-            mi.Point3f(_columns(start)), mi.Vector3f(_columns(toward / length[:, None]))
-        )
+        ray = mi.Ray3f(mi.Point3f(_columns(start)), mi.Vector3f(_columns(toward / length[:, None])))
         ray.maxt = mi.Float(np.nan_to_num(length).astype(np.float32))
         blocked = self.geometry.ray_test(ray, active=mi.Bool(facing))
         return facing & ~np.asarray(blocked.numpy(), dtype=bool)

@@ -19,10 +19,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-
-from slbench.render.mitsuba import dr, mi
 import numpy as np
 
+from slbench.render.mitsuba import dr, mi
 from slbench.rig import Device, Lens
 
 #: Newton steps of the undistortion: quadratic convergence reaches single precision in fewer
@@ -58,8 +57,8 @@ class PanelOptics:
         self.tilt = self.untilt = None
         if any(device.tilt_rad):
             homography = device.tilt_homography
-            self.tilt = [opaque(h) for h in homography.ravel()]
-            self.untilt = [opaque(h) for h in np.linalg.inv(homography).ravel()]
+            self.tilt = [opaque(float(h)) for h in homography.ravel()]
+            self.untilt = [opaque(float(h)) for h in np.linalg.inv(homography).ravel()]
 
     @property
     def needs_lens_sample(self) -> bool:

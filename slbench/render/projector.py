@@ -31,9 +31,7 @@ from __future__ import annotations
 
 from typing import Any
 
-
 from slbench.render.mitsuba import dr, mi
-
 from slbench.render.optics import PanelOptics, device_from_properties, device_to_world, opaque
 
 

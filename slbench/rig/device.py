@@ -209,6 +209,8 @@ class Device:
         if self.principal_point is None:
             centre = ((self.width - 1) / 2.0, (self.height - 1) / 2.0)
             object.__setattr__(self, "principal_point", centre)
+        if len(self.centre) != 2 or not np.all(np.isfinite(self.centre)):
+            raise InputError(f"{who} principal point", "two finite numbers (px)", self.centre)
         if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
             raise InputError(
                 f"{who} distortion", "five finite numbers k1, k2, p1, p2, k3", self.distortion
@@ -310,7 +312,7 @@ class Device:
         per_unit = self.lens.focal_length_mm / np.array(self.pitch_mm)
         xy = (np.asarray(pixels, dtype=np.float64) - self.centre) / per_unit
         if any(self.tilt_rad):
-            xy, _ = apply_homography(xy, np.linalg.inv(self.tilt_homography))
+            xy, _ = apply_homography(xy, np.linalg.inv(self.tilt_homography).astype(np.float64))
         return undistort(xy, np.array(self.distortion))
 
     def unproject(self, pixels: ArrayLike) -> tuple[Array, Array]:
