@@ -26,6 +26,7 @@ from slbench import resources
 from slbench.errors import InputError
 from slbench.io import read_toml
 from slbench.objects.artefact import (
+    BODY,
     REFERENCE,
     Artefact,
     Feature,
@@ -42,6 +43,7 @@ from slbench.objects.stepblock import StepBlockParameters, build_step_block
 from slbench.validation import Finite, Parameters, shown, validated
 
 __all__ = [
+    "BODY",
     "KINDS",
     "REFERENCE",
     "Artefact",

@@ -20,6 +20,9 @@ from slbench.errors import InputError
 #: Name of the face that heights are taken from.
 REFERENCE = "reference"
 
+#: Name of the only part of an artefact made of one material.
+BODY = "body"
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mesh:
@@ -204,11 +207,16 @@ class Artefact:
         What can be scored, names unique.
     source : str
         Where the certified dimensions come from.
+    parts : mapping of str to (k,) ndarray of int
+        Faces of each named part, for parts of different material; together all faces, each
+        once.  Empty: the artefact is one part, called ``"body"``.
+    targets : (n, 3) ndarray of float, optional
+        True centres of the dots or corners of a calibration target, object frame.
 
     Raises
     ------
     InputError
-        If two features share a name.
+        If two features share a name, or the parts do not share out the faces.
     """
 
     name: str
@@ -218,11 +226,18 @@ class Artefact:
     certified: Mapping[str, float]
     features: tuple[Feature, ...] = ()
     source: str = ""
+    parts: Mapping[str, NDArray[np.int64]] = dataclasses.field(default_factory=dict)
+    targets: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         names = [feature.name for feature in self.features]
         if len(set(names)) != len(names):
             raise InputError(f"artefact {self.name}: features", "unique names", names)
+        parts = dict(self.parts) or {BODY: np.arange(len(self.mesh.faces))}
+        shared_out = np.sort(np.concatenate(list(parts.values())))
+        if not np.array_equal(shared_out, np.arange(len(self.mesh.faces))):
+            raise InputError(f"artefact {self.name}: parts", "every face in one part", list(parts))
+        object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "parameters", dict(self.parameters))
         object.__setattr__(self, "certified", dict(self.certified))
 
