@@ -162,39 +162,43 @@ def intersect_axis(
     origin = projector.pose.to_local(origins)
     direction = directions @ projector.pose.rotation
     per_unit = projector.lens.focal_length_mm / projector.pitch_mm[k]
-    centre = projector.centre[k]
     nonlinear = any(projector.distortion) or any(projector.tilt_rad)
-
-    distance = np.full(len(panel), np.nan)
-    target = np.array(panel, dtype=np.float64)
     with np.errstate(invalid="ignore", divide="ignore"):
-        for _ in range(_MAX_ITERATIONS if nonlinear else 1):
-            x = (target - centre) / per_unit
-            if projector.lens.kind == "telecentric":
-                wanted = x * projector.lens.focus_distance_mm - origin[:, k]
-                distance = wanted / direction[:, k]
-            else:
-                # (o + t d)_k = x (o + t d)_z
-                distance = (x * origin[:, 2] - origin[:, k]) / (
-                    direction[:, k] - x * direction[:, 2]
-                )
+        target = panel
+        for _ in range(_MAX_ITERATIONS):
+            x = (target - projector.centre[k]) / per_unit
+            distance, slope = _meet_plane(projector, origin, direction, x, k)
+            points = origins + distance[:, None] * directions
             if not nonlinear:
                 break
-            missing = panel - projector.project(origins + distance[:, None] * directions)[:, k]
+            missing = panel - projector.project(points)[:, k]
             if not np.any(np.abs(missing) > _TOLERANCE_PX):
                 break
-            target += missing
-    points = origins + distance[:, None] * directions
-    points[~(distance > 0)] = np.nan
-    pixels, jacobian = projector.project_with_jacobian(points)
-    if nonlinear:
+            target = target + missing
+        behind = ~((distance > 0) & (origin[:, 2] + distance * direction[:, 2] > 0))
+        points[behind] = np.nan
+        if not nonlinear:
+            return points, directions * (slope / per_unit)[:, None]
+        pixels, jacobian = projector.project_with_jacobian(points)
         # A folded distortion can keep the iteration from its goal.
-        points[np.abs(pixels[:, k] - panel) > 1e-6] = np.nan
-    with np.errstate(invalid="ignore", divide="ignore"):
-        along = np.sum(jacobian[:, k] * directions, axis=-1)
-        sensitivity = directions / along[:, None]
-    points[~np.isfinite(pixels[:, k])] = np.nan
-    return points, sensitivity
+        points[~(np.abs(pixels[:, k] - panel) < 1e-6)] = np.nan
+        return points, directions / np.sum(jacobian[:, k] * directions, axis=-1)[:, None]
+
+
+def _meet_plane(
+    projector: Device, origin: Array, direction: Array, x: Array, k: int
+) -> tuple[Array, Array]:
+    """Meet the plane of normalised coordinate `x` along axis `k`, in the projector's frame.
+
+    Returns the distance along each ray and its derivative by `x`.
+    """
+    if projector.lens.kind == "telecentric":
+        focus = projector.lens.focus_distance_mm
+        return (x * focus - origin[:, k]) / direction[:, k], focus / direction[:, k]
+    # (o + t d)_k = x (o + t d)_z
+    across = direction[:, k] - x * direction[:, 2]
+    distance = (x * origin[:, 2] - origin[:, k]) / across
+    return distance, (origin[:, 2] + distance * direction[:, 2]) / across
 
 
 def nearest_points(
