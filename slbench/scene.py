@@ -6,59 +6,44 @@ people write one (:mod:`slbench.scenefile`).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, Self
+from typing import Any, Self
 
 import numpy as np
 
 from slbench.detector import Detector
 from slbench.errors import InputError
+from slbench.materials import Material
 from slbench.objects import Artefact
 from slbench.patterns import PatternSequence
 from slbench.rig import Pose, Rig
 
 
-@dataclass(frozen=True)
-class Material:
-    """How a surface scatters light.
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """An artefact somewhere in the world.
 
     Parameters
     ----------
-    bsdf : {"diffuse", "rough_plastic", "rough_conductor"}
-        Lambertian; a diffuse base under a rough dielectric coat; a rough metal (both
-        microfacet models with the GGX distribution).
-    albedo : float
-        Diffuse reflectance; for a conductor a factor on its specular reflectance.
-    roughness : float
-        GGX ``alpha``; not used by ``diffuse``.
-    eta, k : float
-        Refractive index: of the coat (`eta`), or complex of the metal.  The defaults are a
-        polymer and, for `k`, steel near 550 nm.
+    artefact : Artefact
+    pose : Pose
+    material : Material
+        Of all parts that `materials` does not name.
+    materials : mapping of str to Material
+        By part of the artefact.
     """
-
-    bsdf: Literal["diffuse", "rough_plastic", "rough_conductor"] = "diffuse"
-    albedo: float = 0.7
-    roughness: float = 0.3
-    eta: float | None = None
-    k: float = 3.4
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.albedo <= 1:
-            raise InputError("material albedo", "a number in [0, 1]", self.albedo)
-        if not 0 < self.roughness <= 1:
-            raise InputError("material roughness", "a number in (0, 1]", self.roughness)
-        if self.eta is None:
-            default = 2.8 if self.bsdf == "rough_conductor" else 1.5
-            object.__setattr__(self, "eta", default)
-
-
-@dataclass(frozen=True, eq=False)
-class SceneObject:
-    """An artefact somewhere in the world."""
 
     artefact: Artefact
     pose: Pose = field(default_factory=Pose)
     material: Material = field(default_factory=Material)
+    materials: Mapping[str, Material] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for part in self.materials:
+            if part not in self.artefact.parts:
+                known = ", ".join(self.artefact.parts)
+                raise InputError(f"{self.artefact.name}: materials", f"parts {known}", part)
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,11 @@ from slbench import objects, resources
 from slbench.detector import Detector
 from slbench.errors import InputError
 from slbench.io import read_toml
+from slbench.materials import PRESETS, Material
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
-from slbench.scene import Exposure, Light, Material, Scene, SceneObject
+from slbench.scene import Exposure, Light, Scene, SceneObject
 from slbench.validation import Finite, Parameters, validated
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -160,6 +161,7 @@ class _Object(Parameters):
     position_mm: Vector3 = (0.0, 0.0, 0.0)
     rotation_deg: Vector3 = (0.0, 0.0, 0.0)
     material: str | None = None
+    materials: dict[str, str] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _one_shape(self) -> _Object:
@@ -175,7 +177,7 @@ class _Material(Parameters):
     albedo: Annotated[float, Field(ge=0, le=1)] = 0.7
     roughness: Annotated[float, Field(gt=0, le=1)] = 0.3
     eta: Positive | None = None
-    k: Positive = 3.4
+    k: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 2.93
 
 
 class _Light(Parameters):
@@ -324,9 +326,21 @@ def _object(file: _SceneFile, index: int, path: Path) -> SceneObject:
         )
     material = Material()
     if values.material is not None:
-        if values.material not in file.materials:
-            known = ", ".join(file.materials) or "none is defined"
-            raise InputError(f"{where}.material", f"one of [materials]: {known}", values.material)
-        material = Material(**file.materials[values.material].model_dump())
+        material = _material(file, values.material, f"{where}.material")
+    by_part = {
+        part: _material(file, name, f"{where}.materials.{part}")
+        for part, name in values.materials.items()
+    }
     rotation = Rotation.from_euler("XYZ", values.rotation_deg, degrees=True).as_matrix()
-    return SceneObject(artefact, Pose(rotation, np.array(values.position_mm)), material)
+    pose = Pose(rotation, np.array(values.position_mm))
+    return SceneObject(artefact, pose, material, by_part)
+
+
+def _material(file: _SceneFile, name: str, where: str) -> Material:
+    """Return a material of the scene's own or a preset; the scene's own come first."""
+    if name in file.materials:
+        return Material(**file.materials[name].model_dump())
+    if name in PRESETS:
+        return PRESETS[name]
+    known = ", ".join((*file.materials, *PRESETS))
+    raise InputError(where, f"one of the materials {known}", name)

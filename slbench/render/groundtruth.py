@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.render.mitsuba import dr, mi
-from slbench.render.translate import geometry, shape_indices, world_meshes
+from slbench.render.translate import geometry, shape_indices, shapes
 from slbench.rig import Device
 from slbench.scene import Scene
 from slbench.truth import GroundTruth, Status
@@ -65,18 +65,20 @@ class _Rays:
     def __init__(self, scene: Scene) -> None:
         self.camera, self.projector = scene.rig.camera, scene.rig.projector
         self.geometry = geometry(scene)
-        self.objects = shape_indices(self.geometry)
-        self.corners = [mesh.vertices[mesh.faces] for mesh in world_meshes(scene)]
+        self.indices = shape_indices(self.geometry)
+        self.shapes = shapes(scene)
 
     def run(self, truth: GroundTruth, rows: slice) -> None:
         v, u = np.mgrid[rows, 0 : self.camera.width].astype(np.float64)
         origins, directions = self.camera.unproject(np.stack((u, v), axis=-1))
-        ids, faces = self._hit_triangles(origins.reshape(-1, 3), directions.reshape(-1, 3))
-        point = np.full((ids.size, 3), np.nan)
-        normal = np.full((ids.size, 3), np.nan)
-        for k, corners in enumerate(self.corners):
-            lanes = np.flatnonzero(ids == k)
-            a, b, c = np.moveaxis(corners[faces[lanes]], 1, 0)
+        which, faces = self._hit_triangles(origins.reshape(-1, 3), directions.reshape(-1, 3))
+        point = np.full((which.size, 3), np.nan)
+        normal = np.full((which.size, 3), np.nan)
+        ids = np.full(which.size, -1, np.int32)
+        for k, shape in enumerate(self.shapes):
+            lanes = np.flatnonzero(which == k)
+            ids[lanes] = shape.object_id
+            a, b, c = np.moveaxis(shape.corners(faces[lanes]), 1, 0)
             n = np.cross(b - a, c - a)
             n /= np.linalg.norm(n, axis=-1, keepdims=True)
             o, d = origins.reshape(-1, 3)[lanes], directions.reshape(-1, 3)[lanes]
@@ -92,20 +94,20 @@ class _Rays:
         status[seen] = Status.OUTSIDE
         status[seen & self.projector.contains(panel)] = Status.LIT
 
-        shape = u.shape
-        truth.point[rows] = point.reshape(*shape, 3)
-        truth.normal[rows] = normal.reshape(*shape, 3)
-        truth.depth[rows] = self.camera.pose.to_local(point)[:, 2].reshape(shape)
-        truth.panel[rows] = panel.reshape(*shape, 2)
-        truth.status[rows] = status.reshape(shape)
-        truth.object_id[rows] = ids.reshape(shape)
-        truth.camera_coc[rows] = self.camera.circle_of_confusion(point).reshape(shape)
-        truth.projector_coc[rows] = self.projector.circle_of_confusion(point).reshape(shape)
+        size = u.shape
+        truth.point[rows] = point.reshape(*size, 3)
+        truth.normal[rows] = normal.reshape(*size, 3)
+        truth.depth[rows] = self.camera.pose.to_local(point)[:, 2].reshape(size)
+        truth.panel[rows] = panel.reshape(*size, 2)
+        truth.status[rows] = status.reshape(size)
+        truth.object_id[rows] = ids.reshape(size)
+        truth.camera_coc[rows] = self.camera.circle_of_confusion(point).reshape(size)
+        truth.projector_coc[rows] = self.projector.circle_of_confusion(point).reshape(size)
 
     def _hit_triangles(
         self, origins: Array, directions: Array
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return object (-1: none) and triangle that each ray meets first."""
+        """Return shape (-1: none) and triangle that each ray meets first."""
         ray = mi.Ray3f(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))
         # Rays beyond an invertible distortion are NaN: they meet nothing.
         valid = np.all(np.isfinite(directions), axis=-1)
@@ -113,10 +115,10 @@ class _Rays:
         shape = dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
         dr.eval(shape, hit.prim_index)
         instance = shape.numpy()
-        ids = np.full(len(origins), -1, np.int64)
-        for identifier, k in self.objects.items():
-            ids[instance == identifier] = k
-        return ids, np.where(ids >= 0, hit.prim_index.numpy(), 0).astype(np.int64)
+        which = np.full(len(origins), -1, np.int64)
+        for identifier, k in self.indices.items():
+            which[instance == identifier] = k
+        return which, np.where(which >= 0, hit.prim_index.numpy(), 0).astype(np.int64)
 
     def _seen(self, point: Array, normal: Array, hit: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Tell which points face the projector's lens centre and have a free view of it."""

@@ -8,6 +8,7 @@ ours elsewhere, and :func:`export_xml` writes it for other Mitsuba users where t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.errors import InputError
 from slbench.io import atomic_path, write_exr
-from slbench.objects import Mesh
+from slbench.materials import Material
 from slbench.render.mitsuba import dr, mi
 from slbench.render.optics import properties_from_device
 from slbench.render.plugins import register
 from slbench.rig import Device, Pose
-from slbench.scene import Material, Scene
+from slbench.scene import Scene
 
 
 def bsdf_dict(material: Material) -> dict[str, Any]:
@@ -52,38 +53,72 @@ def _grey(value: float) -> dict[str, Any]:
     return {"type": "uniform", "value": float(value)}
 
 
-def world_meshes(scene: Scene) -> list[Mesh]:
-    """Return each object's mesh in world coordinates, float64."""
-    return [
-        item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
-        for item in scene.objects
-    ]
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """One part of one object as Mitsuba sees it: triangles of one material.
+
+    Parameters
+    ----------
+    name : str
+    object_id : int
+        Index of the object in the scene.
+    vertices : (n, 3) float
+        World coordinates, mm; those of the whole object.
+    faces : (m, 3) int
+    material : Material
+    """
+
+    name: str
+    object_id: int
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    material: Material
+
+    def corners(self, faces: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the corners (k, 3, 3) of the triangles of the given indices (k,)."""
+        return self.vertices[self.faces[faces]]
+
+    def mesh(self) -> Any:
+        """Return the shape as a Mitsuba mesh, in single precision."""
+        props = mi.Properties()
+        props["bsdf"] = mi.load_dict(bsdf_dict(self.material))
+        used, faces = np.unique(self.faces, return_inverse=True)
+        # No vertex normals: artefacts have sharp edges, and their facets are the truth.
+        result = mi.Mesh(self.name, len(used), len(self.faces), props=props)
+        params = mi.traverse(result)
+        params["vertex_positions"] = mi.Float(self.vertices[used].astype(np.float32).ravel())
+        params["faces"] = mi.UInt32(faces.ravel().astype(np.uint32))
+        params.update()
+        return result
 
 
-def _mitsuba_mesh(name: str, mesh: Mesh, material: Material) -> Any:
-    props = mi.Properties()
-    props["bsdf"] = mi.load_dict(bsdf_dict(material))
-    # No vertex normals: artefacts have sharp edges, and their facets are the truth.
-    result = mi.Mesh(name, len(mesh.vertices), len(mesh.faces), props=props)
-    params = mi.traverse(result)
-    params["vertex_positions"] = mi.Float(mesh.vertices.astype(np.float32).ravel())
-    params["faces"] = mi.UInt32(mesh.faces.astype(np.uint32).ravel())
-    params.update()
-    return result
+def shapes(scene: Scene) -> list[Shape]:
+    """Return the shapes of a scene in Mitsuba's order: objects in turn, each part by part."""
+    found: list[Shape] = []
+    for k, item in enumerate(scene.objects):
+        mesh = item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
+        for part, faces in item.artefact.parts.items():
+            found.append(
+                Shape(
+                    f"object{k:03d}_{len(found):03d}",
+                    k,
+                    mesh.vertices,
+                    mesh.faces[faces],
+                    item.materials.get(part, item.material),
+                )
+            )
+    return found
 
 
 def geometry(scene: Scene) -> Any:
-    """Return a Mitsuba scene of the objects alone; shape k is object k."""
+    """Return a Mitsuba scene of :func:`shapes` alone."""
     register()
-    shapes = {
-        f"object{k:03d}": _mitsuba_mesh(f"object{k:03d}", mesh, item.material)
-        for k, (mesh, item) in enumerate(zip(world_meshes(scene), scene.objects, strict=True))
-    }
-    return mi.load_dict({"type": "scene", **shapes}, parallel=False, optimize=False)
+    meshes = {shape.name: shape.mesh() for shape in shapes(scene)}
+    return mi.load_dict({"type": "scene", **meshes}, parallel=False, optimize=False)
 
 
 def shape_indices(geometry_scene: Any) -> dict[int, int]:
-    """Return the object index of each shape, by Dr.Jit's instance id."""
+    """Return the index into :func:`shapes` of each shape, by Dr.Jit's instance id."""
     return {
         int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]): k
         for k, shape in enumerate(geometry_scene.shapes())
@@ -213,9 +248,7 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
         "camera": camera_dict(scene, samples or scene.samples),
         "projector": projector_dict(scene, picture),
     }
-    for k, (mesh, item) in enumerate(zip(world_meshes(scene), scene.objects, strict=True)):
-        name = f"object{k:03d}"
-        result[name] = _mitsuba_mesh(name, mesh, item.material)
+    result |= {shape.name: shape.mesh() for shape in shapes(scene)}
     if scene.light.ambient_w_per_mm2 > 0:
         result["ambient"] = _ambient(scene)
     return result
@@ -271,16 +304,16 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
         "camera": camera_dict(scene, scene.samples),
         "projector": projector_dict(scene, picture),
     }
-    for k, (mesh, item) in enumerate(zip(world_meshes(scene), scene.objects, strict=True)):
-        mesh_path = target.with_name(f"{target.stem}-object{k:03d}.ply")
+    for shape in shapes(scene):
+        mesh_path = target.with_name(f"{target.stem}-{shape.name}.ply")
         with atomic_path(mesh_path) as temporary:
-            _mitsuba_mesh("mesh", mesh, item.material).write_ply(str(temporary))
+            shape.mesh().write_ply(str(temporary))
         written.append(mesh_path)
-        content[f"object{k:03d}"] = {
+        content[shape.name] = {
             "type": "ply",
             "filename": mesh_path.name,
             "face_normals": True,
-            "bsdf": bsdf_dict(item.material),
+            "bsdf": bsdf_dict(shape.material),
         }
     if scene.light.ambient_w_per_mm2 > 0:
         content["ambient"] = _ambient(scene)
