@@ -17,7 +17,8 @@ Kind = Literal["scenes", "objects"]
 
 _PACKAGE = Path(__file__).resolve().parent
 _KINDS = ("scenes", "objects")
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+#: One plain word, or a folder and one: no part can lead upwards.
+_NAME = re.compile(r"([A-Za-z0-9][A-Za-z0-9._-]*/)?[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 def names(kind: Kind) -> list[str]:
@@ -60,8 +61,8 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
     Raises
     ------
     InputError
-        If there is no such file and no such name.  A name is one plain word: it cannot
-        lead out of its folder.
+        If there is no such file and no such name.  A name is one plain word, or two with a
+        folder (``"hardware/macro-ch6"``): it cannot lead out of its folder.
     """
     folder = _folder(kind)
     as_path = Path(name_or_path)

@@ -145,3 +145,17 @@ class Scene:
         return replace(
             self, sequence=PatternSequence.parse(text, self.sequence.panel, shifts, axes)
         )
+
+    def coarser(self, divisor: int, samples: int) -> Self:
+        """Return the scene seen by a camera of fewer, larger pixels, for a quick look."""
+        camera = self.rig.camera
+        u, v = camera.centre
+        smaller = replace(
+            camera,
+            width=max(camera.width // divisor, 1),
+            height=max(camera.height // divisor, 1),
+            pitch_mm=(camera.pitch_mm[0] * divisor, camera.pitch_mm[1] * divisor),
+            # The panel's corner stays where it is; it is half a pixel from the first centre.
+            principal_point=((u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5),
+        )
+        return replace(self, rig=replace(self.rig, camera=smaller), samples=samples)

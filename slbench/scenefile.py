@@ -3,6 +3,10 @@
 The unit of a number is in its key; an unknown key, a missing one or a value of the wrong kind
 is refused with the key's full name.  ``docs/scene-files.md`` lists the keys.  A path written
 in a scene is relative to the scene's folder and cannot leave it.
+
+``extends = "..."`` takes everything from another scene first: tables are merged key by key,
+anything else (lists too) is replaced.  What several scenes share thus stands once, in
+``scenes/hardware``.
 """
 
 from __future__ import annotations
@@ -24,6 +28,9 @@ from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene import Exposure, Light, Scene, SceneObject
 from slbench.validation import Finite, Parameters, validated
+
+#: Width of a preview where the scene states no divisor, px.
+_PREVIEW_WIDTH = 320
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Vector3 = tuple[Finite, Finite, Finite]
@@ -201,6 +208,11 @@ class _Render(Parameters):
     samples: Annotated[int, Field(ge=1, le=65536)] = 64
 
 
+class _Preview(Parameters):
+    divisor: Annotated[int, Field(ge=1)] | None = None
+    samples: Annotated[int, Field(ge=1, le=65536)] = 16
+
+
 class _SceneFile(Parameters):
     name: str
     description: str = ""
@@ -213,6 +225,7 @@ class _SceneFile(Parameters):
     exposure: _Exposure = _Exposure()
     patterns: _Patterns = _Patterns()
     render: _Render = _Render()
+    preview: _Preview = _Preview()
 
     @model_validator(mode="after")
     def _devices(self) -> _SceneFile:
@@ -223,13 +236,16 @@ class _SceneFile(Parameters):
         return self
 
 
-def load_scene(name_or_path: str | Path) -> Scene:
+def load_scene(name_or_path: str | Path, *, preview: bool = False) -> Scene:
     """Load a scene from a TOML file.
 
     Parameters
     ----------
     name_or_path : str or Path
         A file, or the name of a shipped scene such as ``"step-block"``.
+    preview : bool
+        Fewer camera pixels and samples, so that a scan takes seconds: the scene's
+        ``[preview]``, by default at most 320 pixels wide with 16 samples each.
 
     Returns
     -------
@@ -241,14 +257,45 @@ def load_scene(name_or_path: str | Path) -> Scene:
         Naming the file and key of the first thing that cannot be used.
     """
     path = resources.find("scenes", name_or_path)
-    content = read_toml(path)
+    content = _read(path)
     file = validated(_SceneFile, content, path.name, separator=": ")
     try:
-        return _build(file, path, content)
+        scene = _build(file, path, content)
     except InputError as error:
         if error.where.startswith(path.name):
             raise
         raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
+    if not preview:
+        return scene
+    divisor = file.preview.divisor or max(1, -(-scene.rig.camera.width // _PREVIEW_WIDTH))
+    return scene.coarser(divisor, file.preview.samples)
+
+
+def _read(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Read a scene file, merged into what it extends."""
+    content = read_toml(path)
+    base = content.pop("extends", None)
+    if base is None:
+        return content
+    where = f"{path.name}: extends"
+    if not isinstance(base, str):
+        raise InputError(where, "a scene file beside it or the name of a shipped scene", repr(base))
+    if base.endswith(".toml"):
+        parent = resources.inside(path.parent, base)
+    else:
+        parent = resources.find("scenes", base)
+    seen = (*seen, path.resolve())
+    if parent.resolve() in seen:
+        raise InputError(where, "a chain of scenes with an end", f"{base}, which comes again")
+    return _merged(_read(parent, seen), content)
+
+
+def _merged(base: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:
+    result = dict(base)
+    for key, value in content.items():
+        both = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = _merged(result[key], value) if both else value
+    return result
 
 
 def _build(file: _SceneFile, path: Path, content: dict[str, Any]) -> Scene:

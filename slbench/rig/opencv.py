@@ -11,6 +11,8 @@ apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +26,30 @@ from slbench.rig.rig import Rig
 #: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel
 #: depend on it; rays do not.
 _NOMINAL_PITCH_UM = 5.0
+
+#: Keys by the last word of the place that an error of the rig's own classes names.
+_KEYS = {
+    "focal_length_mm": "pitch_um_{}",
+    "pitch": "pitch_um_{}",
+    "aperture_radius_mm": "aperture_radius_mm_{}",
+    "focus_distance_mm": "focus_distance_mm_{}",
+    "tilt": "dist_{}",
+    "resolution": "size_{}",
+    "flux_w": "flux_w",
+    "bit_depth": "bit_depth_{}",
+    "gamma": "gamma_{}",
+    "volume": "volume_mm",
+}
+
+
+@contextmanager
+def _blaming_the_file(path: str | Path, name: str) -> Iterator[None]:
+    """Turn errors of the rig's own classes into errors that name the file and the key."""
+    try:
+        yield
+    except InputError as error:
+        key = _KEYS[error.where.split()[-1]].format(name)
+        raise InputError(f"{path}: {key}", error.expected, error.got) from None
 
 
 def write_rig(path: str | Path, rig: Rig) -> None:
@@ -85,9 +111,15 @@ class _Values:
     def number(self, key: str, default: float) -> float:
         return float(self.array(key, (1,), default)[0])
 
+    def whole(self, key: str, default: int) -> int:
+        value = self.number(key, default)
+        if not value.is_integer():
+            raise InputError(f"{self.path}: {key}", "a whole number", value)
+        return int(value)
+
     def pose(self, rotation: str, translation: str, default: Pose | None = None) -> Pose:
         """Return the pose of the frame that ``X' = R X + T`` maps *from* the parent."""
-        if default is not None and rotation not in self.values:
+        if default is not None and not {rotation, translation} & self.values.keys():
             return default
         matrix = self.array(rotation, (9,)).reshape(3, 3)
         offset = self.array(translation, (3,))
@@ -99,10 +131,11 @@ class _Values:
 
 def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
     matrix = values.array(f"K_{name}", (9,)).reshape(3, 3)
-    if matrix[0, 1] != 0 or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
+    fixed = matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]]
+    if np.any(fixed != [0.0, 0.0, 0.0, 0.0, 1.0]) or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
         raise InputError(
             f"{values.path}: K_{name}",
-            "positive focal lengths and no skew",
+            "fx 0 cx, 0 fy cy, 0 0 1 with positive focal lengths and no skew",
             matrix.tolist(),
         )
     pitch = values.array(f"pitch_um_{name}", (2,), [_NOMINAL_PITCH_UM] * 2) * 1e-3
@@ -117,22 +150,24 @@ def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
             "rational or thin-prism coefficients",
         )
     width, height = values.array(f"size_{name}", (2,))
+    if not (width.is_integer() and height.is_integer()):
+        raise InputError(f"{values.path}: size_{name}", "whole numbers", f"{width} x {height}")
     kind = str(values.values.get(f"lens_{name}", "perspective"))
     if kind not in ("perspective", "telecentric"):
         raise InputError(f"{values.path}: lens_{name}", "perspective or telecentric", kind)
     focus_key = f"focus_distance_mm_{name}"
     focus = values.number(focus_key, 0.0) if focus_key in values.values else np.inf
+    aperture = values.number(f"aperture_radius_mm_{name}", 0.0)
+    vignetting = values.number(f"natural_vignetting_{name}", 1)
+    if vignetting not in (0, 1):
+        raise InputError(f"{values.path}: natural_vignetting_{name}", "0 or 1", vignetting)
+    with _blaming_the_file(values.path, name):
+        lens = Lens(float(focal), aperture, focus, kind, bool(vignetting))  # type: ignore[arg-type]
     return {
         "width": int(width),
         "height": int(height),
         "pitch_mm": (float(pitch[0]), float(pitch[1])),
-        "lens": Lens(
-            float(focal),
-            values.number(f"aperture_radius_mm_{name}", 0.0),
-            focus,
-            kind,  # type: ignore[arg-type]  # checked above
-            bool(values.number(f"natural_vignetting_{name}", 1)),
-        ),
+        "lens": lens,
         "principal_point": (float(matrix[0, 2]), float(matrix[1, 2])),
         "distortion": tuple(float(x) for x in np.append(distortion[:5], 0.0)[:5]),
         "tilt_rad": tuple(float(x) for x in distortion[12:14]) or (0.0, 0.0),
@@ -153,16 +188,15 @@ def read_rig(path: str | Path) -> Rig:
     projector_pose = Pose(
         camera_pose.rotation @ relative.rotation, camera_pose.to_world(relative.position)
     )
-    bits = int(values.number("bit_depth_projector", 8))
     volume = values.array("volume_mm", (3,), [60.0, 70.0, 30.0])
-    return Rig(
-        Camera(**_device_arguments(values, "camera"), pose=camera_pose),
-        Projector(
-            **_device_arguments(values, "projector"),
-            pose=projector_pose,
-            flux_w=values.number("flux_w", 1.0),
-            bit_depth=bits or None,
-            gamma=values.number("gamma_projector", 1.0),
-        ),
-        (float(volume[0]), float(volume[1]), float(volume[2])),
-    )
+    camera_arguments = _device_arguments(values, "camera")
+    projector_arguments = _device_arguments(values, "projector") | {
+        "flux_w": values.number("flux_w", 1.0),
+        "bit_depth": values.whole("bit_depth_projector", 8) or None,
+        "gamma": values.number("gamma_projector", 1.0),
+    }
+    with _blaming_the_file(path, "camera"):
+        camera = Camera(**camera_arguments, pose=camera_pose)
+    with _blaming_the_file(path, "projector"):
+        projector = Projector(**projector_arguments, pose=projector_pose)
+        return Rig(camera, projector, (float(volume[0]), float(volume[1]), float(volume[2])))
