@@ -51,6 +51,7 @@ class _Optics(Parameters):
     principal_point_px: tuple[Finite, Finite] | None = None
     distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
     tilt_deg: tuple[Finite, Finite] = (0.0, 0.0)
+    body_mm: tuple[Positive, Positive, Positive] | None = None
 
     @model_validator(mode="after")
     def _one_lens(self) -> _Optics:
@@ -85,6 +86,7 @@ class _Optics(Parameters):
             "lens": lens,
             "principal_point": self.principal_point_px,
             "distortion": self.distortion,
+            "body_mm": self.body_mm,
             "tilt_rad": (float(np.deg2rad(self.tilt_deg[0])), float(np.deg2rad(self.tilt_deg[1]))),
         }
 

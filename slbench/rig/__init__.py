@@ -1,6 +1,8 @@
 """Optics, cameras, projectors and rigs (DESIGN sections 3, 5 and 7)."""
 
-from slbench.rig.device import Camera, Device, Lens, Pose, Projector
+from slbench.rig.device import Camera, Device, Projector
+from slbench.rig.lens import Lens
+from slbench.rig.pose import Pose
 from slbench.rig.rig import DesignVariables, Rig, rotation_yx
 
 __all__ = ["Camera", "DesignVariables", "Device", "Lens", "Pose", "Projector", "Rig", "rotation_yx"]

@@ -21,7 +21,7 @@ focusing does not change it.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,139 +34,10 @@ from slbench.rig.distortion import (
     tilt_rotation,
     undistort,
 )
+from slbench.rig.lens import Lens
+from slbench.rig.pose import Pose
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Pose:
-    """Where a device or an object is: ``X_world = rotation @ X_local + position``.
-
-    Parameters
-    ----------
-    rotation : (3, 3) float
-        Columns are the local axes in world coordinates.
-    position : (3,) float
-        Local origin in world coordinates, mm.
-    """
-
-    rotation: Array = field(default_factory=lambda: np.eye(3))
-    position: Array = field(default_factory=lambda: np.zeros(3))
-
-    def __post_init__(self) -> None:
-        rotation = np.asarray(self.rotation, dtype=np.float64)
-        position = np.asarray(self.position, dtype=np.float64)
-        if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
-            raise InputError("pose rotation", "a (3, 3) rotation matrix", rotation.tolist())
-        if np.linalg.det(rotation) < 0:
-            raise InputError("pose rotation", "a right-handed rotation", "a reflection")
-        if position.shape != (3,) or not np.all(np.isfinite(position)):
-            raise InputError("pose position", "three finite numbers (mm)", position.tolist())
-        object.__setattr__(self, "rotation", rotation)
-        object.__setattr__(self, "position", position)
-
-    def to_world(self, points: ArrayLike) -> Array:
-        """Map local points (..., 3) to world points (..., 3)."""
-        return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.position
-
-    def to_local(self, points: ArrayLike) -> Array:
-        """Map world points (..., 3) to local points (..., 3)."""
-        return (np.asarray(points, dtype=np.float64) - self.position) @ self.rotation
-
-    @classmethod
-    def looking_at(cls, position: ArrayLike, target: ArrayLike, down: ArrayLike) -> Self:
-        """Return the pose of a device at `position` aimed at `target`.
-
-        `down` is the world direction that shall appear downwards in the image.
-        """
-        origin = np.asarray(position, dtype=np.float64)
-        forward = np.asarray(target, dtype=np.float64) - origin
-        right = np.cross(np.asarray(down, dtype=np.float64), forward)
-        if np.linalg.norm(forward) == 0 or np.linalg.norm(right) < 1e-12:
-            raise InputError("pose", "a target apart from the position, not along `down`", target)
-        z = forward / np.linalg.norm(forward)
-        x = right / np.linalg.norm(right)
-        return cls(np.stack((x, np.cross(z, x), z), axis=1), origin)
-
-
-@dataclass(frozen=True)
-class Lens:
-    """A lens: perspective (pinhole or thin lens) or object-space telecentric.
-
-    Parameters
-    ----------
-    focal_length_mm : float
-        Principal distance ``c``.  For a telecentric lens it is ``magnification *
-        focus_distance_mm``; use :meth:`telecentric`.
-    aperture_radius_mm : float
-        Radius of the entrance pupil; 0 is a pinhole.  For a telecentric lens: the radius of
-        the cone of accepted rays at the distance in focus.
-    focus_distance_mm : float
-        Distance from the nodal point to the plane in focus, along the axis.
-    kind : {"perspective", "telecentric"}
-    natural_vignetting : bool
-        Whether the cos^4 law holds.  False describes a lens corrected for uniform
-        illumination.  A telecentric lens has none.
-    """
-
-    focal_length_mm: float
-    aperture_radius_mm: float = 0.0
-    focus_distance_mm: float = np.inf
-    kind: Literal["perspective", "telecentric"] = "perspective"
-    natural_vignetting: bool = True
-
-    def __post_init__(self) -> None:
-        for name in ("focal_length_mm", "focus_distance_mm"):
-            value = getattr(self, name)
-            if not value > 0:
-                raise InputError(f"lens {name}", "a positive length (mm)", value)
-        if not np.isfinite(self.focal_length_mm):
-            raise InputError("lens focal_length_mm", "a finite length", self.focal_length_mm)
-        if not 0 <= self.aperture_radius_mm < np.inf:
-            raise InputError(
-                "lens aperture_radius_mm", "zero or a positive length (mm)", self.aperture_radius_mm
-            )
-        if self.kind == "telecentric" and not np.isfinite(self.focus_distance_mm):
-            raise InputError(
-                "lens focus_distance_mm", "a finite distance for a telecentric lens", "infinity"
-            )
-
-    @classmethod
-    def telecentric(
-        cls, magnification: float, numerical_aperture: float, focus_distance_mm: float
-    ) -> Self:
-        """Return an object-space telecentric lens.
-
-        Parameters
-        ----------
-        magnification : float
-            Image size over object size.
-        numerical_aperture : float
-            Object-side numerical aperture, in [0, 1).
-        focus_distance_mm : float
-        """
-        if not magnification > 0:
-            raise InputError("lens magnification", "a positive number", magnification)
-        if not 0 <= numerical_aperture < 1:
-            raise InputError("lens numerical_aperture", "a number in [0, 1)", numerical_aperture)
-        radius = focus_distance_mm * np.tan(np.arcsin(numerical_aperture))
-        return cls(magnification * focus_distance_mm, radius, focus_distance_mm, "telecentric")
-
-    @property
-    def magnification(self) -> float:
-        """Lateral magnification in the plane in focus."""
-        return self.focal_length_mm / self.focus_distance_mm
-
-    @property
-    def f_number(self) -> float:
-        """Image-side f-number: principal distance over aperture diameter (inf: pinhole).
-
-        For the telecentric lens this is ``1 / (2 tan theta')`` with ``tan theta' = tan theta /
-        m``, which is the same expression.
-        """
-        if self.aperture_radius_mm == 0:
-            return np.inf
-        return self.focal_length_mm / (2.0 * self.aperture_radius_mm)
 
 
 @dataclass(frozen=True)
@@ -187,6 +58,9 @@ class Device:
     tilt_rad : (float, float)
         OpenCV's ``tauX, tauY``.
     pose : Pose
+    body_mm : (float, float, float) or None
+        Size of the housing along x, y, z, a box behind the nodal point with the optical axis
+        through the middle of its front face; None is a device without a body.
     """
 
     width: int
@@ -197,6 +71,7 @@ class Device:
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     tilt_rad: tuple[float, float] = (0.0, 0.0)
     pose: Pose = field(default_factory=Pose)
+    body_mm: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         who = type(self).__name__.lower()
@@ -217,6 +92,8 @@ class Device:
             )
         if not np.all(np.abs(self.tilt_rad) < np.pi / 3):
             raise InputError(f"{who} sensor tilt", "less than 60 deg", f"{self.tilt_rad} rad")
+        if self.body_mm is not None and not all(0 < size < np.inf for size in self.body_mm):
+            raise InputError(f"{who} body", "three positive lengths (mm)", self.body_mm)
 
     # -- the panel ---------------------------------------------------------------------
 
@@ -415,6 +292,15 @@ class Device:
         else:
             local = [np.column_stack((xy, np.ones(4))) * z for z in (near, far)]
         return self.pose.to_world(np.concatenate(local))
+
+    @property
+    def body_corners(self) -> Array:
+        """The eight corners of the housing in the world, (8, 3); (0, 3) without a body."""
+        if self.body_mm is None:
+            return np.empty((0, 3))
+        x, y, z = self.body_mm
+        grid = np.meshgrid([-x / 2, x / 2], [-y / 2, y / 2], [-z, 0.0], indexing="ij")
+        return self.pose.to_world(np.stack(grid, axis=-1).reshape(8, 3))
 
     def relative_illumination(self, pixels: ArrayLike) -> Array:
         """Return the lens's fall-off at pixels (..., 2): cos^4 of the field angle, or 1."""

@@ -20,7 +20,9 @@ import numpy as np
 
 from slbench.errors import InputError
 from slbench.io import read_opencv_yaml, write_opencv_yaml
-from slbench.rig.device import Camera, Lens, Pose, Projector
+from slbench.rig.device import Camera, Projector
+from slbench.rig.lens import Lens
+from slbench.rig.pose import Pose
 from slbench.rig.rig import Rig
 
 #: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.errors import InputError
-from slbench.rig.device import Camera, Pose, Projector
+from slbench.rig.device import Camera, Projector
+from slbench.rig.pose import Pose
 
 Array = NDArray[np.float64]
 

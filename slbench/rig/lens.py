@@ -1,0 +1,90 @@
+"""Lenses: perspective (pinhole or thin lens) and object-space telecentric (see device.py)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+
+from slbench.errors import InputError
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A lens: perspective (pinhole or thin lens) or object-space telecentric.
+
+    Parameters
+    ----------
+    focal_length_mm : float
+        Principal distance ``c``.  For a telecentric lens it is ``magnification *
+        focus_distance_mm``; use :meth:`telecentric`.
+    aperture_radius_mm : float
+        Radius of the entrance pupil; 0 is a pinhole.  For a telecentric lens: the radius of
+        the cone of accepted rays at the distance in focus.
+    focus_distance_mm : float
+        Distance from the nodal point to the plane in focus, along the axis.
+    kind : {"perspective", "telecentric"}
+    natural_vignetting : bool
+        Whether the cos^4 law holds.  False describes a lens corrected for uniform
+        illumination.  A telecentric lens has none.
+    """
+
+    focal_length_mm: float
+    aperture_radius_mm: float = 0.0
+    focus_distance_mm: float = np.inf
+    kind: Literal["perspective", "telecentric"] = "perspective"
+    natural_vignetting: bool = True
+
+    def __post_init__(self) -> None:
+        for name in ("focal_length_mm", "focus_distance_mm"):
+            value = getattr(self, name)
+            if not value > 0:
+                raise InputError(f"lens {name}", "a positive length (mm)", value)
+        if not np.isfinite(self.focal_length_mm):
+            raise InputError("lens focal_length_mm", "a finite length", self.focal_length_mm)
+        if not 0 <= self.aperture_radius_mm < np.inf:
+            raise InputError(
+                "lens aperture_radius_mm", "zero or a positive length (mm)", self.aperture_radius_mm
+            )
+        if self.kind == "telecentric" and not np.isfinite(self.focus_distance_mm):
+            raise InputError(
+                "lens focus_distance_mm", "a finite distance for a telecentric lens", "infinity"
+            )
+
+    @classmethod
+    def telecentric(
+        cls, magnification: float, numerical_aperture: float, focus_distance_mm: float
+    ) -> Self:
+        """Return an object-space telecentric lens.
+
+        Parameters
+        ----------
+        magnification : float
+            Image size over object size.
+        numerical_aperture : float
+            Object-side numerical aperture, in [0, 1).
+        focus_distance_mm : float
+        """
+        if not magnification > 0:
+            raise InputError("lens magnification", "a positive number", magnification)
+        if not 0 <= numerical_aperture < 1:
+            raise InputError("lens numerical_aperture", "a number in [0, 1)", numerical_aperture)
+        radius = focus_distance_mm * np.tan(np.arcsin(numerical_aperture))
+        return cls(magnification * focus_distance_mm, radius, focus_distance_mm, "telecentric")
+
+    @property
+    def magnification(self) -> float:
+        """Lateral magnification in the plane in focus."""
+        return self.focal_length_mm / self.focus_distance_mm
+
+    @property
+    def f_number(self) -> float:
+        """Image-side f-number: principal distance over aperture diameter (inf: pinhole).
+
+        For the telecentric lens this is ``1 / (2 tan theta')`` with ``tan theta' = tan theta /
+        m``, which is the same expression.
+        """
+        if self.aperture_radius_mm == 0:
+            return np.inf
+        return self.focal_length_mm / (2.0 * self.aperture_radius_mm)

@@ -1,0 +1,64 @@
+"""Poses: where a device or an object is in the world."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slbench.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a device or an object is: ``X_world = rotation @ X_local + position``.
+
+    Parameters
+    ----------
+    rotation : (3, 3) float
+        Columns are the local axes in world coordinates.
+    position : (3,) float
+        Local origin in world coordinates, mm.
+    """
+
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+    position: Array = field(default_factory=lambda: np.zeros(3))
+
+    def __post_init__(self) -> None:
+        rotation = np.asarray(self.rotation, dtype=np.float64)
+        position = np.asarray(self.position, dtype=np.float64)
+        if rotation.shape != (3, 3) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6):
+            raise InputError("pose rotation", "a (3, 3) rotation matrix", rotation.tolist())
+        if np.linalg.det(rotation) < 0:
+            raise InputError("pose rotation", "a right-handed rotation", "a reflection")
+        if position.shape != (3,) or not np.all(np.isfinite(position)):
+            raise InputError("pose position", "three finite numbers (mm)", position.tolist())
+        object.__setattr__(self, "rotation", rotation)
+        object.__setattr__(self, "position", position)
+
+    def to_world(self, points: ArrayLike) -> Array:
+        """Map local points (..., 3) to world points (..., 3)."""
+        return np.asarray(points, dtype=np.float64) @ self.rotation.T + self.position
+
+    def to_local(self, points: ArrayLike) -> Array:
+        """Map world points (..., 3) to local points (..., 3)."""
+        return (np.asarray(points, dtype=np.float64) - self.position) @ self.rotation
+
+    @classmethod
+    def looking_at(cls, position: ArrayLike, target: ArrayLike, down: ArrayLike) -> Self:
+        """Return the pose of a device at `position` aimed at `target`.
+
+        `down` is the world direction that shall appear downwards in the image.
+        """
+        origin = np.asarray(position, dtype=np.float64)
+        forward = np.asarray(target, dtype=np.float64) - origin
+        right = np.cross(np.asarray(down, dtype=np.float64), forward)
+        if np.linalg.norm(forward) == 0 or np.linalg.norm(right) < 1e-12:
+            raise InputError("pose", "a target apart from the position, not along `down`", target)
+        z = forward / np.linalg.norm(forward)
+        x = right / np.linalg.norm(right)
+        return cls(np.stack((x, np.cross(z, x), z), axis=1), origin)

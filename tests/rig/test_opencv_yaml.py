@@ -1,0 +1,231 @@
+"""Rigs as OpenCV YAML: OpenCV loads them, OpenCV's numbers mean the same, bad files say why."""
+
+from dataclasses import fields, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from slbench.errors import InputError
+from slbench.rig import Camera, DesignVariables, Lens, Projector, Rig
+from slbench.rig.opencv import read_rig, write_rig
+
+DESIGN = DesignVariables(756.3, -412.5, -100.0, 337.5, np.deg2rad(-18.0), np.deg2rad(10.88))
+ERRORS = (-0.25, 0.12, 0.002, -0.003, 0.02)
+CAMERA = Camera(
+    640, 480, (0.0074, 0.0081), Lens(16.0, 2.0, 453.9), (311.3, 251.9), ERRORS, (0.08, -0.05)
+)
+PROJECTOR = Projector(
+    1024,
+    768,
+    (0.0108, 0.0108),
+    Lens(28.0, 5.6, 809.8, natural_vignetting=False),
+    distortion=ERRORS,
+    flux_w=2.5,
+    bit_depth=10,
+    gamma=2.2,
+)
+RIG = Rig.from_design(DESIGN, CAMERA, PROJECTOR, (50.0, 40.0, 20.0))
+TELECENTRIC = Rig(
+    replace(RIG.camera, lens=Lens.telecentric(0.05, 0.02, 450.0)),
+    replace(RIG.projector, lens=Lens(28.0), bit_depth=None),
+)
+
+
+def assert_same(first, second):
+    for name in ("camera", "projector"):
+        a, b = getattr(first, name), getattr(second, name)
+        assert type(a) is type(b)
+        for field in fields(a):
+            one, two = getattr(a, field.name), getattr(b, field.name)
+            if field.name == "lens":
+                assert (one.kind, one.natural_vignetting) == (two.kind, two.natural_vignetting)
+                names = ("focal_length_mm", "aperture_radius_mm", "focus_distance_mm")
+                one, two = ([getattr(x, n) for n in names] for x in (one, two))
+            if field.name == "pose":
+                np.testing.assert_allclose(one.rotation, two.rotation, rtol=0.0, atol=1e-12)
+                one, two = one.position, two.position
+            if one is None or isinstance(one, int):
+                assert one == two
+            else:
+                np.testing.assert_allclose(one, two, rtol=1e-9, atol=1e-9, err_msg=field.name)
+    assert first.volume_mm == pytest.approx(second.volume_mm)
+
+
+@pytest.mark.parametrize("rig", [RIG, TELECENTRIC], ids=["perspective", "telecentric"])
+def test_round_trip(rig, tmp_path):
+    write_rig(tmp_path / "rig.yml", rig)
+    assert_same(read_rig(tmp_path / "rig.yml"), rig)
+
+
+def test_opencv_alone_projects_to_the_same_pixels(tmp_path):
+    """Only cv2 from here: what an OpenCV user does with the file."""
+    write_rig(tmp_path / "rig.yaml", RIG)
+    file = cv2.FileStorage(str(tmp_path / "rig.yaml"), cv2.FILE_STORAGE_READ)
+    names = ("K_camera", "dist_camera", "K_projector", "dist_projector", "R", "T")
+    k_c, d_c, k_p, d_p, r, t = (file.getNode(name).mat() for name in names)
+    r_world, t_world = file.getNode("R_world").mat(), file.getNode("T_world").mat()
+    sizes = [file.getNode(f"size_{name}").mat().ravel() for name in ("camera", "projector")]
+    file.release()
+    assert [size.tolist() for size in sizes] == [[640.0, 480.0], [1024.0, 768.0]]
+    assert d_c.size == 14
+    assert d_p.size == 5
+    world = np.random.default_rng(0).uniform(-25.0, 25.0, (200, 3))
+    # World to camera, then to the projector: the convention of cv2.stereoCalibrate.
+    rotation, _ = cv2.Rodrigues(r_world)
+    in_camera, _ = cv2.projectPoints(world, rotation, t_world, k_c, d_c)
+    rotation, offset, *_ = cv2.composeRT(rotation, t_world, cv2.Rodrigues(r)[0], t)
+    in_projector, _ = cv2.projectPoints(world, rotation, offset, k_p, d_p)
+    # Rotation vectors there and back in double precision.
+    np.testing.assert_allclose(in_camera[:, 0], RIG.camera.project(world), atol=1e-8)
+    np.testing.assert_allclose(in_projector[:, 0], RIG.projector.project(world), atol=1e-8)
+    assert RIG.camera.contains(in_camera[:, 0]).mean() > 0.9
+
+
+def plain():
+    """What a calibration with OpenCV gives, without any key of ours."""
+    return {
+        "K_camera": np.array([[2000.0, 0.0, 310.0], [0.0, 2010.0, 250.0], [0.0, 0.0, 1.0]]),
+        "dist_camera": np.array([[-0.1, 0.02, 0.001, 0.0, 0.0]]),
+        "size_camera": np.array([640.0, 480.0]),
+        "K_projector": np.array([[2600.0, 0.0, 500.0], [0.0, 2600.0, 400.0], [0.0, 0.0, 1.0]]),
+        "dist_projector": np.zeros((1, 5)),
+        "size_projector": np.array([1024.0, 768.0]),
+        "R": cv2.Rodrigues(np.array([0.05, -0.4, 0.02]))[0],
+        "T": np.array([[120.0], [5.0], [30.0]]),
+    }
+
+
+def written(path, values):
+    file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in values.items():
+        if isinstance(value, np.ndarray):
+            value = value.reshape(len(value), -1)  # an OpenCV matrix has two axes
+        if value is not None:
+            file.write(name, value)
+    file.release()
+    return path
+
+
+class TestPlainCalibration:
+    def test_loads(self, tmp_path):
+        values = plain()
+        rig = read_rig(written(tmp_path / "stereo.yml", values))
+        # The world is the camera's frame.
+        np.testing.assert_array_equal(rig.camera.pose.rotation, np.eye(3))
+        np.testing.assert_array_equal(rig.camera.pose.position, np.zeros(3))
+        points = np.random.default_rng(1).uniform((-40, -30, 300), (40, 30, 400), (100, 3))
+        for device, name, r, t in (
+            (rig.camera, "camera", np.eye(3), np.zeros(3)),
+            (rig.projector, "projector", values["R"], values["T"]),
+        ):
+            theirs, _ = cv2.projectPoints(
+                points, cv2.Rodrigues(r)[0], t, values[f"K_{name}"], values[f"dist_{name}"]
+            )
+            np.testing.assert_allclose(device.project(points), theirs[:, 0], atol=1e-8)
+            np.testing.assert_allclose(device.matrix, values[f"K_{name}"], rtol=1e-12)
+        assert (rig.camera.width, rig.camera.height) == (640, 480)
+        assert rig.camera.lens.aperture_radius_mm == 0.0
+        assert rig.camera.lens.focus_distance_mm == np.inf
+        assert rig.projector.bit_depth == 8
+
+    @pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
+    def test_any_number_of_coefficients(self, tmp_path, count):
+        coefficients = np.zeros(count)
+        coefficients[:4] = [-0.1, 0.02, 0.001, 0.002]
+        if count == 14:
+            coefficients[12:] = [0.03, -0.02]
+        values = plain() | {"dist_camera": coefficients[:, None]}
+        camera = read_rig(written(tmp_path / "rig.yml", values)).camera
+        assert camera.distortion == (-0.1, 0.02, 0.001, 0.002, 0.0)
+        assert camera.tilt_rad == ((0.03, -0.02) if count == 14 else (0.0, 0.0))
+
+    def test_distortion_may_be_missing(self, tmp_path):
+        values = plain() | {"dist_camera": None}
+        camera = read_rig(written(tmp_path / "rig.yml", values)).camera
+        assert camera.distortion == (0.0,) * 5
+
+
+NAN = np.full((3, 3), np.nan)
+SKEWED = np.array([[2000.0, 3.0, 310.0], [0.0, 2000.0, 250.0], [0.0, 0.0, 1.0]])
+TRANSPOSED = np.array([[2000.0, 0.0, 0.0], [0.0, 2000.0, 0.0], [310.0, 250.0, 1.0]])
+RATIONAL = np.concatenate((np.zeros(5), [0.1], np.zeros(2)))
+PRISM = np.concatenate((np.zeros(8), [0.1], np.zeros(3)))
+
+BAD = [
+    *((name, None) for name in ("K_camera", "size_camera", "K_projector", "size_projector")),
+    *((name, None) for name in ("R", "T")),
+    ("K_camera", NAN),
+    ("K_camera", np.eye(2)),
+    ("K_camera", SKEWED),
+    ("K_camera", TRANSPOSED),
+    ("K_camera", -np.eye(3)),
+    ("K_camera", "text"),
+    ("K_projector", 7.0),
+    ("size_camera", np.array([640.0])),
+    ("size_camera", np.array([640.5, 480.0])),
+    ("size_camera", np.array([0.0, 480.0])),
+    ("dist_camera", np.zeros(6)),
+    ("dist_camera", RATIONAL),
+    ("dist_projector", PRISM),
+    ("dist_camera", np.concatenate((np.zeros(12), [2.0, 0.0]))),
+    ("R", np.diag([1.0, 1.0, -1.0])),
+    ("R", 2.0 * np.eye(3)),
+    ("R", NAN),
+    ("T", np.zeros(4)),
+    ("R_world", np.eye(2)),
+    ("R_world", 2.0 * np.eye(3)),
+    ("T_world", np.full(3, np.inf)),
+    ("pitch_um_camera", np.array([5.0])),
+    ("pitch_um_camera", np.array([-5.0, 5.0])),
+    ("aperture_radius_mm_camera", -1.0),
+    ("aperture_radius_mm_projector", "wide"),
+    ("focus_distance_mm_camera", 0.0),
+    ("focus_distance_mm_projector", -3.0),
+    ("lens_camera", "fisheye"),
+    ("natural_vignetting_camera", "maybe"),
+    ("natural_vignetting_projector", 7),
+    ("flux_w", 0.0),
+    ("flux_w", "bright"),
+    ("bit_depth_projector", 40),
+    ("bit_depth_projector", -1),
+    ("bit_depth_projector", 7.5),
+    ("gamma_projector", -1.0),
+    ("volume_mm", np.array([1.0, 2.0])),
+    ("volume_mm", np.array([1.0, 2.0, 0.0])),
+]
+
+
+@pytest.mark.parametrize(("key", "value"), BAD, ids=[f"{k}-{i}" for i, (k, _) in enumerate(BAD)])
+def test_a_bad_value_is_one_line_that_names_file_and_key(key, value, tmp_path):
+    values = plain() | {"R_world": np.eye(3), "T_world": np.zeros(3)} | {key: value}
+    path = written(tmp_path / "rig.yml", values)
+    with pytest.raises(InputError) as caught:
+        read_rig(path)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert str(path) in line
+    assert key in line, line
+
+
+def test_a_telecentric_lens_needs_its_focus_distance(tmp_path):
+    values = plain() | {"lens_projector": "telecentric"}
+    with pytest.raises(InputError, match="focus_distance_mm_projector: expected a finite dist"):
+        read_rig(written(tmp_path / "rig.yml", values))
+
+
+def test_half_a_world_is_refused(tmp_path):
+    for key in ("R_world", "T_world"):
+        values = plain() | {"R_world": np.eye(3), "T_world": np.zeros(3)} | {key: None}
+        with pytest.raises(InputError, match=f"{key}: expected this key to be present"):
+            read_rig(written(tmp_path / "rig.yml", values))
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(InputError, match=r"missing\.yml"):
+        read_rig(tmp_path / "missing.yml")
+    (tmp_path / "broken.yml").write_text("%YAML:1.0\n---\nK_camera: [1, 2\n")
+    with pytest.raises(InputError, match=r"broken\.yml"):
+        read_rig(tmp_path / "broken.yml")
+    with pytest.raises(InputError, match=r"rig\.txt: expected a name that ends in"):
+        write_rig(tmp_path / "rig.txt", RIG)
