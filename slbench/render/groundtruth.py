@@ -66,7 +66,7 @@ class _Rays:
         self.camera, self.projector = scene.rig.camera, scene.rig.projector
         self.geometry = geometry(scene)
         self.indices = shape_indices(self.geometry)
-        self.shapes = shapes(scene)
+        self.shapes = shapes(scene.objects)
 
     def run(self, truth: GroundTruth, rows: slice) -> None:
         v, u = np.mgrid[rows, 0 : self.camera.width].astype(np.float64)

@@ -8,6 +8,7 @@ ours elsewhere, and :func:`export_xml` writes it for other Mitsuba users where t
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from slbench.render.mitsuba import dr, mi
 from slbench.render.optics import properties_from_device
 from slbench.render.plugins import register
 from slbench.rig import Device, Pose
-from slbench.scene import Scene
+from slbench.scene import Scene, SceneObject
 
 
 def bsdf_dict(material: Material) -> dict[str, Any]:
@@ -92,10 +93,10 @@ class Shape:
         return result
 
 
-def shapes(scene: Scene) -> list[Shape]:
+def shapes(objects: Iterable[SceneObject]) -> list[Shape]:
     """Return the shapes of a scene in Mitsuba's order: objects in turn, each part by part."""
     found: list[Shape] = []
-    for k, item in enumerate(scene.objects):
+    for k, item in enumerate(objects):
         mesh = item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
         for part, faces in item.artefact.parts.items():
             found.append(
@@ -113,7 +114,7 @@ def shapes(scene: Scene) -> list[Shape]:
 def geometry(scene: Scene) -> Any:
     """Return a Mitsuba scene of :func:`shapes` alone."""
     register()
-    meshes = {shape.name: shape.mesh() for shape in shapes(scene)}
+    meshes = {shape.name: shape.mesh() for shape in shapes(scene.objects)}
     return mi.load_dict({"type": "scene", **meshes}, parallel=False, optimize=False)
 
 
@@ -248,7 +249,7 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
         "camera": camera_dict(scene, samples or scene.samples),
         "projector": projector_dict(scene, picture),
     }
-    result |= {shape.name: shape.mesh() for shape in shapes(scene)}
+    result |= {shape.name: shape.mesh() for shape in shapes(scene.objects)}
     if scene.light.ambient_w_per_mm2 > 0:
         result["ambient"] = _ambient(scene)
     return result
@@ -304,7 +305,7 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
         "camera": camera_dict(scene, scene.samples),
         "projector": projector_dict(scene, picture),
     }
-    for shape in shapes(scene):
+    for shape in shapes(scene.objects):
         mesh_path = target.with_name(f"{target.stem}-{shape.name}.ply")
         with atomic_path(mesh_path) as temporary:
             shape.mesh().write_ply(str(temporary))
