@@ -33,9 +33,10 @@ from slbench.objects.artefact import (
     Mesh,
     PlaneFeature,
     SphereFeature,
-    measure,
+    measure_features,
     surface_height,
 )
+from slbench.objects.cache import cached
 from slbench.objects.meshfile import MeshParameters, build_mesh_file
 from slbench.objects.plane import PlaneParameters, build_plane
 from slbench.objects.sphere import SphereParameters, build_sphere
@@ -59,10 +60,16 @@ __all__ = [
 
 
 class ArtefactKind(NamedTuple):
-    """A kind of artefact: the model of its parameters, and its builder."""
+    """A kind of artefact: the model of its parameters, its builder, and how to measure it.
+
+    ``measure`` gives the dimensions that only this kind has, from the mesh alone: the
+    artefact's parameters may say *where* to measure (at which circle, over how many teeth),
+    never what comes out.
+    """
 
     parameters: type[Parameters]
     build: Callable[[Any, str, str], Artefact]
+    measure: Callable[[Artefact], dict[str, float]] | None = None
 
 
 #: What :func:`build` can build.
@@ -115,13 +122,50 @@ def build(
     InputError
         If the kind or a key is unknown, or a value cannot be used.
     """
+    return _built(kind, parameters, where, name, folder)[0]
+
+
+def _built(
+    kind: str, parameters: object, where: str, name: str | None, folder: str | Path | None
+) -> tuple[Artefact, dict[str, float]]:
+    """Build and measure an artefact, or take both from the cache."""
     if not isinstance(kind, str) or kind not in KINDS:
         raise InputError("kind", f"one of {', '.join(KINDS)}", shown(kind))
     checked = validated(KINDS[kind].parameters, parameters, where)
-    if folder is not None and isinstance(checked, MeshParameters):
-        path = resources.inside(folder, checked.path)
-        checked = checked.model_copy(update={"path": str(path)})
-    return KINDS[kind].build(checked, name or kind, where)
+
+    def make() -> tuple[Artefact, dict[str, float]]:
+        artefact = KINDS[kind].build(checked, name or kind, where)
+        return artefact, measure(artefact)
+
+    if isinstance(checked, MeshParameters):  # the file may change, and reading it is quick
+        if folder is not None:
+            path = resources.inside(folder, checked.path)
+            checked = checked.model_copy(update={"path": str(path)})
+        return make()
+    values = checked.model_dump()
+    artefact, measured = cached(kind, values, make)
+    return dataclasses.replace(artefact, name=name or kind, parameters=values), measured
+
+
+def measure(artefact: Artefact) -> dict[str, float]:
+    """Measure an artefact's dimensions back from its mesh.
+
+    Parameters
+    ----------
+    artefact : Artefact
+        The artefact.
+
+    Returns
+    -------
+    dict of str to float
+        What :func:`~slbench.objects.artefact.measure_features` finds, and the dimensions
+        that its kind measures besides (:class:`ArtefactKind`).
+    """
+    measured = measure_features(artefact)
+    kind = KINDS.get(artefact.kind)
+    if kind is not None and kind.measure is not None:
+        measured |= kind.measure(artefact)
+    return measured
 
 
 def load(name_or_path: str | Path) -> Artefact:
@@ -146,14 +190,8 @@ def load(name_or_path: str | Path) -> Artefact:
     file = validated(_ArtefactFile, read_toml(path), path.name, separator=": ")
     if file.kind not in KINDS:
         raise InputError(f"{path.name}: kind", f"one of {', '.join(KINDS)}", shown(file.kind))
-    artefact = build(
-        file.kind,
-        file.parameters,
-        f"{path.name}: parameters",
-        name=path.stem,
-        folder=path.parent,
-    )
-    measured = measure(artefact)
+    where = f"{path.name}: parameters"
+    artefact, measured = _built(file.kind, file.parameters, where, path.stem, path.parent)
     for key, value in file.certified.items():
         where = f"{path.name}: certified.{key}"
         if key not in artefact.certified:

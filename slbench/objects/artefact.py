@@ -202,7 +202,8 @@ class Artefact:
     mesh : Mesh
         The solid, in the object frame.
     certified : mapping of str to float
-        Dimensions, the unit in the key; the keys are those of :func:`measure`.
+        Dimensions, the unit in the key; the keys are those of
+        :func:`slbench.objects.measure`.
     features : tuple of PlaneFeature and SphereFeature
         What can be scored, names unique.
     source : str
@@ -262,8 +263,8 @@ class Artefact:
         return tuple(f for f in self.features if isinstance(f, SphereFeature))
 
 
-def measure(artefact: Artefact) -> dict[str, float]:
-    """Measure an artefact's dimensions back from its mesh, without its parameters.
+def measure_features(artefact: Artefact) -> dict[str, float]:
+    """Measure an artefact's size and its features back from its mesh.
 
     Parameters
     ----------
