@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import platformdirs
+from numpy.typing import NDArray
 
 from slbench.errors import InputError
 from slbench.io import plain, read_npz, write_npz
@@ -112,7 +113,9 @@ def _write(path: Path, artefact: Artefact, measured: dict[str, float]) -> None:
         "measured": measured,
     }
     text = json.dumps(plain(header, keep_non_finite=True))
-    arrays = {f"part_{k}": faces for k, faces in enumerate(artefact.parts.values())}
+    arrays: dict[str, NDArray[Any]] = {
+        f"part_{k}": faces for k, faces in enumerate(artefact.parts.values())
+    }
     if artefact.targets is not None:
         arrays["targets"] = artefact.targets
     write_npz(

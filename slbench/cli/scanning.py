@@ -1,111 +1,29 @@
-"""The command line: ``slbench scan``, ``decode``, ``export``, ``doctor``.
-
-Each command reads like the sentence it is: load, do, write, print.  Results go to stdout (a
-table, or with ``--json`` one JSON object at its end), everything else to stderr.  Exit status:
-0 success, 1 a check failed, 2 bad input, in one line.
-"""
+"""``slbench scan``, ``decode`` and ``export``."""
 
 from __future__ import annotations
 
-import json
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from slbench import __version__, resources
-from slbench.errors import InputError
-from slbench.io import atomic_folder, plain, write_exr, write_json, write_provenance
-
-app = typer.Typer(
-    name="slbench",
-    help="A physically based synthetic structured-light scanner and test bench.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-
-# Typer carries its own copy of Click from 0.20 on; this is its usage error in every version.
-_UsageError: type[Exception] = typer.BadParameter.__bases__[0]
-
-_messages = Console(stderr=True, highlight=False)
+from slbench.cli.common import Json, Preview, SceneName, Seed, print_json, print_table, progress
+from slbench.io import atomic_folder, write_exr, write_json, write_provenance
 
 
-def main() -> None:
-    """Run the command line and exit."""
-    try:
-        status = app(standalone_mode=False)
-    except InputError as error:
-        status = _refuse(str(error))
-    except _UsageError as error:
-        status = _refuse(error.format_message())  # type: ignore[attr-defined]
-    except MemoryError as error:
-        status = _refuse(f"memory: expected enough for this scene, got {error}")
-    except (typer.Abort, KeyboardInterrupt):
-        status = 130
-    except BrokenPipeError:
-        status = 0
-    sys.exit(status if isinstance(status, int) else 0)
+def register(app: typer.Typer) -> None:
+    """Add the commands to `app`."""
+    block = "slbench scan step-block --patterns 1,10,50 --steps 3 --out out/block"
+    app.command(epilog=f"Example: {block}")(scan)
+    app.command(epilog="Example: slbench decode out/step-block --out decoded")(decode)
+    app.command(epilog="Example: slbench export sphere out/sphere.xml --pinhole")(export)
 
 
-def _refuse(message: str) -> int:
-    print("error: " + " ".join(message.split()), file=sys.stderr)
-    return 2
-
-
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Any]:
-    """Yield a callback (stage, fraction) that draws a bar on a terminal and is quiet elsewhere."""
-    if quiet or not _messages.is_terminal:
-        yield None
-        return
-    columns = (TextColumn("{task.description:>12}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=_messages, transient=True) as bars:
-        tasks: dict[str, Any] = {}
-
-        def report(stage: str, fraction: float) -> None:
-            if stage not in tasks:
-                tasks[stage] = bars.add_task(stage, total=1.0)
-            bars.update(tasks[stage], completed=fraction)
-
-        yield report
-
-
-def _print_json(values: dict[str, Any]) -> None:
-    print(json.dumps(plain(values), ensure_ascii=False, allow_nan=False))
-
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of every random draw.")]
-
-
-def _version(value: bool) -> None:
-    if value:
-        print(__version__)
-        raise typer.Exit
-
-
-@app.callback()
-def _options(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
-    ] = False,
-) -> None:
-    pass
-
-
-@app.command(epilog="Example: slbench scan step-block --patterns 1,10,50 --steps 3 --out out/block")
 def scan(
-    scene: Annotated[str, typer.Argument(help="A scene file, or the name of a shipped scene.")],
+    scene: SceneName,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write to.  [default: out/NAME]")
     ] = None,
@@ -124,6 +42,7 @@ def scan(
     noise: Annotated[
         bool, typer.Option("--noise/--no-noise", help="Detector noise; rounding stays.")
     ] = True,
+    preview: Preview = False,
     as_json: Json = False,
 ) -> None:
     """Measure a scene: trace, capture, decode, triangulate and score it."""
@@ -131,7 +50,7 @@ def scan(
     from slbench.scan import write_scan
     from slbench.scenefile import load_scene
 
-    loaded = load_scene(scene)
+    loaded = load_scene(scene, preview=preview)
     if patterns is not None or steps is not None or axes is not None:
         given: dict[str, Any] = {"sequence": "1,10,50", "shifts": 3, "axes": "u"}
         given |= loaded.specification.get("patterns", {})
@@ -139,15 +58,14 @@ def scan(
             patterns or given["sequence"], steps or given["shifts"], axes or given["axes"]
         )
     folder = out or Path("out") / loaded.name
-    with _progress(as_json) as report:
+    with progress(as_json) as report:
         result = run(loaded, seed=seed, noise=noise, samples=spp, on_progress=report)
         write_scan(result, folder)
     if as_json:
-        _print_json(result.to_dict() | {"out": str(folder)})
+        print_json(result.to_dict() | {"out": str(folder)})
     else:
-        console = Console(highlight=False)
-        console.print(_scan_table(result))
-        console.print(f"Written to {folder}: open {folder / 'summary.png'}", soft_wrap=True)
+        print_table(_scan_table(result))
+        print(f"Written to {folder}: open {folder / 'summary.png'}")
 
 
 def _scan_table(result: Any) -> Table:
@@ -190,7 +108,6 @@ def _scan_table(result: Any) -> Table:
     return table
 
 
-@app.command(epilog="Example: slbench decode out/step-block --out decoded")
 def decode(
     folder: Annotated[
         Path, typer.Argument(help="A folder of frames with a capture.toml beside them.")
@@ -240,16 +157,15 @@ def decode(
         write_json(temporary / "decode.json", result)
         write_provenance(temporary, {"folder": str(folder), "rig": str(rig) if rig else None}, None)
     if as_json:
-        _print_json(result | {"out": str(target)})
+        print_json(result | {"out": str(target)})
         return
     for key, value in result.items():
         print(f"{key}: {'-' if value is None else value}")
     print(f"Written to {target}")
 
 
-@app.command(epilog="Example: slbench export sphere out/sphere.xml --frame 3")
 def export(
-    scene: Annotated[str, typer.Argument(help="A scene file, or the name of a shipped scene.")],
+    scene: SceneName,
     path: Annotated[Path, typer.Argument(help="The XML file to write.")],
     frame: Annotated[int, typer.Option(min=0, help="Which frame of the scene's patterns.")] = 0,
     pinhole: Annotated[
@@ -273,30 +189,3 @@ def export(
     panel = np.broadcast_to(values if axis == "u" else values[:, None], shape)
     for written in export_xml(loaded, path, panel):
         print(written)
-
-
-@app.command(epilog="Example: slbench scenes")
-def scenes() -> None:
-    """List the shipped scenes."""
-    from slbench.io import read_toml
-
-    for name in resources.names("scenes"):
-        content = read_toml(resources.find("scenes", name))
-        print(f"{name:16} {content.get('description', '')}")
-
-
-@app.command(epilog="Example: slbench doctor --json")
-def doctor(as_json: Json = False) -> None:
-    """Check the installation: versions, backend, LLVM, GPU, and a test render."""
-    from slbench.doctor import diagnose, exit_status, report
-
-    diagnosis = diagnose()
-    if as_json:
-        _print_json(diagnosis)
-    else:
-        Console(highlight=False).print(report(diagnosis))
-    raise typer.Exit(exit_status(diagnosis))
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,5 @@
+"""``python -m slbench.cli``: the command line without its console script."""
+
+from slbench.cli import main
+
+main()

@@ -1,0 +1,63 @@
+"""What all commands share: the console, progress bars, and common options."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from slbench.io import plain
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of every random draw.")]
+SceneName = Annotated[str, typer.Argument(help="A scene file, or the name of a shipped scene.")]
+Preview = Annotated[
+    bool, typer.Option("--preview", help="Fewer camera pixels and samples: seconds.")
+]
+
+_messages = Console(stderr=True, highlight=False)
+
+
+def new_app(help_text: str, name: str | None = None) -> typer.Typer:
+    """Return an empty command group with the settings that all have."""
+    return typer.Typer(
+        name=name,
+        help=help_text,
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Any]:
+    """Yield a callback (stage, fraction) that draws a bar on a terminal and is quiet elsewhere."""
+    if quiet or not _messages.is_terminal:
+        yield None
+        return
+    columns = (TextColumn("{task.description:>12}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=_messages, transient=True) as bars:
+        tasks: dict[str, Any] = {}
+
+        def report(stage: str, fraction: float) -> None:
+            if stage not in tasks:
+                tasks[stage] = bars.add_task(stage, total=1.0)
+            bars.update(tasks[stage], completed=fraction)
+
+        yield report
+
+
+def print_json(values: Any) -> None:
+    """Print one JSON document; NaN becomes null."""
+    print(json.dumps(plain(values), ensure_ascii=False, allow_nan=False))
+
+
+def print_table(table: Any) -> None:
+    """Print a rich table or group."""
+    Console(highlight=False).print(table)
