@@ -182,12 +182,13 @@ def scene_picture(scene: Scene, view: NDArray[np.float32], path: str | Path) -> 
         Radiance under the fully lit panel.
     path : path of the PNG
     """
-    figure = Figure(figsize=(16.0, 6.0), dpi=100, layout="constrained")
+    figure = Figure(figsize=(14.0, 6.0), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
-    front, side, picture = figure.subplots(1, 3)
+    front, side, picture = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.2])
     for axes, across, title in ((front, 0, "front: x, z"), (side, 1, "side: y, z")):
         _draw_rig(axes, scene, across)
         axes.set_title(title)
+    figure.legend(*front.get_legend_handles_labels(), fontsize=9, loc="outside lower left", ncols=3)
     bright = max(float(np.percentile(view, 99.5)), 1e-30)
     _image(picture, view / bright, "camera's view, panel white", "gray", "", limits=(0.0, 1.0))
     rig = scene.rig
@@ -218,7 +219,6 @@ def _draw_rig(axes: Any, scene: Scene, across: int) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel(f"{'xy'[across]} / mm")
     axes.set_ylabel("z / mm")
-    axes.legend(fontsize=8, loc="best")
 
 
 def _outline(

@@ -319,5 +319,6 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
     if scene.light.ambient_w_per_mm2 > 0:
         content["ambient"] = _ambient(scene)
     with atomic_path(target) as temporary:
-        mi.xml.dict_to_xml(content, str(temporary))
+        state = mi.parser.parse_dict(mi.parser.ParserConfig(mi.variant()), content)
+        mi.parser.write_file(state, str(temporary), add_section_headers=True)
     return written
