@@ -60,7 +60,16 @@ MANIFEST = "capture.toml"
 _FORMAT = 1
 #: Memory for noise-free frames at a time.
 _FLOOR_BYTES = 1 << 27
-_KEYS = {"format", "bit_depth", "frames", "rig", "patterns", "noise", "exposure_ms"}
+_KEYS = {
+    "format",
+    "bit_depth",
+    "saturation_dn",
+    "frames",
+    "rig",
+    "patterns",
+    "noise",
+    "exposure_ms",
+}
 
 #: Exposure time that the dark signal is computed with where the light's power is unknown (a
 #: pinhole camera, automatic exposure).
@@ -78,12 +87,14 @@ class Capture:
     sequence : PatternSequence
         N frames.
     bit_depth : int
-        Bits of a digital number; a pixel at the top of the range is saturated.
+        Bits of a digital number.
     noise : NoiseModel or None
         Temporal noise, for predicted deviations; None where it is not known.
     rig : Rig or None
         Geometry, where it is known.
     exposure_s : float or None
+    saturation_dn : int or None
+        Digital number at and above which a pixel is saturated; None is the top of the range.
     """
 
     frames: NDArray[Any]
@@ -92,6 +103,7 @@ class Capture:
     noise: NoiseModel | None = None
     rig: Rig | None = None
     exposure_s: float | None = None
+    saturation_dn: int | None = None
 
     def __post_init__(self) -> None:
         frames = self.frames
@@ -105,8 +117,15 @@ class Capture:
                 f"{self.sequence.n_frames}, as many as patterns ({self.sequence.name})",
                 len(frames),
             )
-        if self.bit_depth not in BIT_DEPTHS:
-            raise InputError("capture bit_depth", f"one of {BIT_DEPTHS}", self.bit_depth)
+        if type(self.bit_depth) is not int or self.bit_depth not in BIT_DEPTHS:
+            raise InputError("bit_depth", f"one of {BIT_DEPTHS}", repr(self.bit_depth))
+        top = 2**self.bit_depth - 1
+        level = self.saturation_dn
+        if level is not None and (type(level) is not int or not 1 <= level <= top):
+            raise InputError("saturation_dn", f"a whole number from 1 to {top}", repr(level))
+        time = self.exposure_s
+        if time is not None and not 0 < time < np.inf:
+            raise InputError("exposure", "a positive time", f"{time} s")
         if frames.dtype.itemsize * 8 < self.bit_depth:
             raise InputError("capture frames", f"{self.bit_depth} bit frames", frames.dtype)
         if self.rig is not None:
@@ -118,7 +137,7 @@ class Capture:
             self.frames,
             self.sequence,
             noise=self.noise,
-            saturation=2**self.bit_depth - 1,
+            saturation=self.saturation_dn or 2**self.bit_depth - 1,
             **options,
         )
 
@@ -135,6 +154,8 @@ class Capture:
             "frames": names,
             "patterns": self.sequence.to_dict(),
         }
+        if self.saturation_dn is not None:
+            manifest["saturation_dn"] = self.saturation_dn
         if self.exposure_s is not None:
             manifest["exposure_ms"] = self.exposure_s * 1e3
         if self.noise is not None:
@@ -174,10 +195,11 @@ class Capture:
                 rig = read_rig(resources.inside(path.parent, manifest["rig"]))
             bits = manifest.get("bit_depth", 8 * frames.dtype.itemsize)
             exposure = manifest.get("exposure_ms")
-            if exposure is not None and not isinstance(exposure, (int, float)):
+            if exposure is not None and type(exposure) not in (int, float):
                 raise InputError("exposure_ms", "a number", repr(exposure))
             time = None if exposure is None else float(exposure) * 1e-3
-            return cls(frames, sequence, bits, noise, rig, time)
+            saturation = manifest.get("saturation_dn")
+            return cls(frames, sequence, bits, noise, rig, time, saturation)
         except InputError as error:
             raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
 
@@ -277,6 +299,7 @@ def capture(
         noise_model(scene.detector) if noise else NoiseModel(offset_dn=scene.detector.black_dn),
         scene.rig,
         exposure_s,
+        scene.detector.saturation_dn,
     )
 
 
@@ -340,24 +363,38 @@ def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
             camera.etendue_mm2_sr  # noqa: B018 - raises: a pinhole has no absolute exposure
         assert per_second is not None
         return per_second * time, time
-    white = transport.white() - transport.ambient
-    if not np.any(white > 0):
+    white = transport.white().astype(np.float64)
+    lit = white > transport.ambient
+    if not np.any(lit):
         raise InputError(f"scene {scene.name}", "an object that the projector lights", "none")
-    level = scene.exposure.white_level
-    factor = auto_exposure_scale(detector, white.astype(np.float64), level)
+    factor = auto_exposure_scale(detector, white[lit], scene.exposure.white_level)
     return factor, (factor / per_second if per_second else NOMINAL_EXPOSURE_S)
 
 
 def _vibrate(frames: NDArray[np.float32], sigma_px: float, rng: np.random.Generator) -> None:
-    """Shift each frame by a random sub-pixel amount, in place (bicubic; edges repeat)."""
+    """Shift each frame by a random sub-pixel amount, in place (edges repeat)."""
     for frame, (du, dv) in zip(frames, rng.normal(0.0, sigma_px, (len(frames), 2)), strict=True):
-        matrix = np.array([[1.0, 0.0, du], [0.0, 1.0, dv]])
-        shifted = cv2.warpAffine(
-            frame,
-            matrix,
-            frame.shape[::-1],
-            flags=cv2.INTER_CUBIC,
-            borderMode=cv2.BORDER_REPLICATE,
+        shifted = cv2.sepFilter2D(
+            frame, -1, _shift_kernel(du), _shift_kernel(dv), borderType=cv2.BORDER_REPLICATE
         )
-        # Cubic interpolation overshoots at edges; light is not negative.
+        # Interpolation overshoots at edges; light is not negative.
         np.maximum(shifted, 0.0, out=frame)
+
+
+def _shift_kernel(shift: float) -> NDArray[np.float64]:
+    """Return the correlation kernel that moves a line of pixels by `shift`.
+
+    Lagrange interpolation through six samples: exact for polynomials of degree five, and good
+    to 0.2 % of the shift for fringes of ten pixels.  (OpenCV's own bicubic warp moves even a
+    ramp by half as much again where the shift is small.)
+    """
+    whole = int(np.floor(-shift))
+    nodes = np.arange(-2, 4)
+    differences = nodes[:, None] - nodes
+    np.fill_diagonal(differences, 1)
+    steps = np.broadcast_to(-shift - whole - nodes, differences.shape).copy()
+    np.fill_diagonal(steps, 1.0)
+    reach = abs(whole) + 3
+    kernel = np.zeros(2 * reach + 1)
+    kernel[nodes + whole + reach] = np.prod(steps / differences, axis=1)
+    return kernel

@@ -39,6 +39,9 @@ BIT_DEPTHS = (8, 10, 12, 14, 16)
 # distribution function is then within 1e-5 of the exact one; below, from NumPy's exact sampler.
 EXPANSION_MEAN_E = 100.0
 
+# Memory for frames that are exposed at the same time.
+_WORKING_BYTES = 1 << 28
+
 
 @dataclass(frozen=True)
 class Detector:
@@ -122,6 +125,11 @@ class Detector:
     def black_dn(self) -> float:
         """Black level, DN: `offset_dn` or its default."""
         return 2.0 ** (self.bit_depth - 7) if self.offset_dn is None else float(self.offset_dn)
+
+    @property
+    def saturation_dn(self) -> int:
+        """Digital number of a full well, or the top of the range where that is less."""
+        return min(self.top_dn, int(self.black_dn + self.full_well_e / self.e_per_dn))
 
     @property
     def e_per_dn(self) -> float:
@@ -239,8 +247,9 @@ def expose(
     def expose_one(k: int, stream: np.random.Generator) -> None:
         _expose_frame(detector, frames[k], exposure_s, stream, out[k])
 
-    # Sampling releases the interpreter lock; one frame a thread also bounds the memory.
-    with ThreadPoolExecutor(min(len(frames), os.cpu_count() or 1)) as pool:
+    # Sampling releases the interpreter lock.  A frame in work takes some four float64 images.
+    affordable = max(1, _WORKING_BYTES // (32 * frames[0].size))
+    with ThreadPoolExecutor(min(len(frames), os.cpu_count() or 1, affordable)) as pool:
         list(pool.map(expose_one, range(len(frames)), rng.spawn(len(frames))))
     return out.reshape(stack.shape)
 

@@ -127,10 +127,11 @@ def triangulate(rig: Rig, phase: PhaseMap) -> PointCloud:
             points[part], found = nearest_points(rig.projector, origins, directions, target)
             sensitivity[part] = found[:, order]
     sigma = np.stack([phase.sigma[axis][v, u] for axis in axes], axis=-1)
-    good = np.all(np.isfinite(points), axis=-1) & np.all(np.isfinite(sensitivity), axis=(1, 2))
-    return PointCloud(
-        points[good], pixels[good], phase.mask.shape, axes, sigma[good], sensitivity[good]
-    )
+    good = np.isfinite(points.sum(axis=-1)) & np.isfinite(sensitivity.sum(axis=(1, 2)))
+    if not good.all():
+        points, pixels = points[good], pixels[good]
+        sigma, sensitivity = sigma[good], sensitivity[good]
+    return PointCloud(points, pixels, phase.mask.shape, axes, sigma, sensitivity)
 
 
 def intersect_axis(

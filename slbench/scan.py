@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from slbench.capture import Capture, capture, noise_free_coordinates
 from slbench.figures import summary
 from slbench.io import atomic_folder, write_json, write_ply, write_provenance
+from slbench.objects import Mesh
 from slbench.patterns import PhaseMap
 from slbench.reconstruct import PointCloud, triangulate
 from slbench.scene import Scene
@@ -33,7 +35,7 @@ class Scan:
     ``floor_rms_px`` is the RMS error of the panel coordinate with the detector left out, over
     smooth lit pixels: the renderer's own error, beside which noise is to be judged.
     ``seconds`` has ``trace`` (light transport), ``truth``, ``relight`` (frames), ``decode``,
-    ``reconstruct``, ``score`` (with the floor) and ``total``.
+    ``reconstruct``, ``score`` (with the floor) and ``total``; ``variant`` is Mitsuba's.
     """
 
     scene: Scene
@@ -46,6 +48,8 @@ class Scan:
     floor_rms_px: float
     seconds: dict[str, float]
     seed: int
+    noise: bool
+    variant: str
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
@@ -56,6 +60,7 @@ class Scan:
             **self.score.to_dict(),
             "floor_rms_px": self.floor_rms_px,
             "seed": self.seed,
+            "noise": self.noise,
             "seconds": self.seconds,
         }
 
@@ -93,6 +98,7 @@ def scan(
         If the scene cannot be measured as it is.
     """
     # Mitsuba is needed from here on, and only here.
+    from slbench.render.backend import current
     from slbench.render.groundtruth import ground_truth
     from slbench.render.trace import trace
 
@@ -127,7 +133,7 @@ def scan(
     with stage("reconstruct"):
         cloud = triangulate(scene.rig, phase)
     with stage("score"):
-        result = score(cloud, truth, phase, scene.objects)
+        result = score(cloud, truth, phase, scene.objects, scene.rig)
         floor = floor_rms_px(scene, transport, truth)
     seconds["total"] = time.perf_counter() - begin
     return Scan(
@@ -141,6 +147,8 @@ def scan(
         floor,
         seconds,
         seed,
+        noise,
+        current().variant,
     )
 
 
@@ -162,24 +170,36 @@ def write_scan(result: Scan, folder: str | Path) -> list[Path]:
     -------
     list of Path
         Frames and manifest (``capture.toml``, ``frames/``, ``rig.yaml``), ``truth.exr``,
-        ``transport.npz``, ``cloud.ply``, ``score.json``, ``summary.png``,
-        ``provenance.json``.
+        ``transport.npz``, ``cloud.ply`` (where there are points), ``score.json``,
+        ``summary.png``, ``provenance.json``.
     """
     with atomic_folder(folder) as temporary:
         result.capture.save(temporary)
         result.truth.save(temporary / "truth.exr")
         result.transport.save(temporary / "transport.npz")
-        write_cloud(temporary / "cloud.ply", result.cloud, result.truth)
+        if len(result.cloud):
+            write_cloud(temporary / "cloud.ply", result.cloud, result.truth)
         write_json(temporary / "score.json", result.to_dict())
         summary(result, temporary / "summary.png")
         parameters = {
             "scene": result.scene.specification,
             "patterns": result.scene.sequence.to_dict(),
             "samples": result.transport.samples,
+            "noise": result.noise,
+            "variant": result.variant,
+            "objects": [
+                {"name": item.artefact.name, "sha256": _digest(item.artefact.mesh)}
+                for item in result.scene.objects
+            ],
         }
         write_provenance(temporary, parameters, result.seed)
         names = [entry.name for entry in sorted(temporary.iterdir())]
     return [Path(folder) / name for name in names]
+
+
+def _digest(mesh: Mesh) -> str:
+    """Return a hash of a mesh, which tells whether two scans saw the same object."""
+    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()
 
 
 def write_cloud(path: str | Path, cloud: PointCloud, truth: GroundTruth | None = None) -> None:

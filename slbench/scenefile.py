@@ -32,8 +32,9 @@ from slbench.validation import Finite, Parameters, validated
 #: Width of a preview where the scene states no divisor, px.
 _PREVIEW_WIDTH = 320
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Vector3 = tuple[Finite, Finite, Finite]
+Positive = Annotated[float, Field(ge=1e-9, le=1e9, allow_inf_nan=False)]
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class _Optics(Parameters):
@@ -63,6 +64,8 @@ class _Optics(Parameters):
             raise ValueError("f_number or aperture_radius_mm, not both")
         if self.magnification is None and self.numerical_aperture is not None:
             raise ValueError("numerical_aperture with a telecentric lens only")
+        if self.magnification is not None and (self.f_number or self.aperture_radius_mm):
+            raise ValueError("numerical_aperture, not f_number or a radius, with a magnification")
         return self
 
     def arguments(self, distance_mm: float) -> dict[str, Any]:
@@ -103,10 +106,6 @@ class _Detector(Parameters):
     offset_dn: Finite | None = None
     gain_e_per_dn: Finite | None = None
     seed: int | None = None
-
-
-class _Camera(_Optics):
-    detector: _Detector = _Detector()
 
 
 class _Projector(_Optics):
@@ -176,8 +175,10 @@ class _Object(Parameters):
     def _one_shape(self) -> _Object:
         if sum(way is not None for way in (self.artefact, self.mesh, self.kind)) != 1:
             raise ValueError("one of artefact (a name), mesh (a file with its unit) or kind")
-        if (self.mesh is None) != (self.unit is None):
-            raise ValueError("a unit with a mesh file, and with nothing else")
+        if (self.mesh is None) != (self.unit is None) or (self.centre and self.mesh is None):
+            raise ValueError("a unit with a mesh file, and unit and centre with nothing else")
+        if self.parameters and self.kind is None:
+            raise ValueError("parameters with a kind only")
         return self
 
 
@@ -216,12 +217,14 @@ class _Preview(Parameters):
 
 
 class _SceneFile(Parameters):
-    name: str
+    # The name becomes a folder's.
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
     description: str = ""
-    camera: _Camera | None = None
+    camera: _Optics | None = None
     projector: _Projector | None = None
+    detector: _Detector = _Detector()
     rig: _Rig
-    objects: Annotated[list[_Object], Field(min_length=1)]
+    objects: Annotated[tuple[_Object, ...], Field(min_length=1)]
     materials: dict[str, _Material] = Field(default_factory=dict)
     light: _Light = _Light()
     exposure: _Exposure = _Exposure()
@@ -303,7 +306,7 @@ def _merged(base: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:
 def _build(file: _SceneFile, path: Path, content: dict[str, Any]) -> Scene:
     rig = _rig(file, path.parent)
     panel = (rig.projector.width, rig.projector.height)
-    given = file.camera.detector.model_dump(exclude_none=True) if file.camera else {}
+    given = file.detector.model_dump(exclude_none=True)
     return Scene(
         name=file.name,
         rig=rig,

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse
@@ -143,7 +143,7 @@ class SparseRows:
 
     @classmethod
     def concatenate(cls, blocks: list[SparseRows]) -> SparseRows:
-        """Stack blocks of rows; `blocks` is emptied on the way so that memory never doubles."""
+        """Stack blocks of rows, emptying `blocks`: pages are touched as blocks are freed."""
         width = blocks[0].width
         lengths = np.concatenate([np.diff(block.indptr) for block in blocks])
         indptr = np.concatenate(([0], np.cumsum(lengths)))
@@ -237,9 +237,14 @@ class LightTransport:
 
     def _relight(self, panels: ArrayLike, marginal: Marginal) -> NDArray[np.float32]:
         rows = self._rows(marginal)
-        values = np.asarray(panels, dtype=np.float32)
+        try:
+            values = np.asarray(panels, dtype=np.float32)
+        except (TypeError, ValueError):
+            raise InputError("panel profiles", "numbers", type(panels).__name__) from None
         if values.ndim != 2 or values.shape[1] != rows.width:
             raise InputError("panel profiles", f"shape (n, {rows.width})", values.shape)
+        if not np.all(np.isfinite(values)):
+            raise InputError("panel profiles", "finite numbers", "others")
         out = np.empty((len(values), self.ambient.size), np.float32)
         out[:] = self.ambient.reshape(-1)
         # Panel-major, so that one transport entry serves all patterns in one vector operation.
@@ -295,7 +300,7 @@ class LightTransport:
             "ambient": self.ambient,
         }
         for name, rows in self.marginals.items():
-            # Row lengths compress far better than row starts.
+            # Row lengths take half the room of row starts.
             arrays[f"{name}_counts"] = np.diff(rows.indptr).astype(np.uint32)
             arrays[f"{name}_indices"] = rows.indices
             arrays[f"{name}_data"] = rows.data
@@ -311,21 +316,26 @@ class LightTransport:
             If the file is missing, corrupt, or inconsistent.
         """
         arrays = read_npz(path)
-        for key in ("format", "panel", "samples", "ambient"):
-            if key not in arrays:
-                raise InputError(f"{path}: {key}", "a light transport file", "no such entry")
-        if int(arrays["format"]) != _FORMAT:
-            raise InputError(f"{path}: format", str(_FORMAT), arrays["format"])
-        width, height = (int(n) for n in arrays["panel"])
+        version = _checked(path, arrays, "format", "iu", 0)
+        if int(version) != _FORMAT:
+            raise InputError(f"{path}: format", str(_FORMAT), version)
+        samples = int(_checked(path, arrays, "samples", "iu", 0))
+        ambient = _checked(path, arrays, "ambient", "f", 2).astype(np.float32, copy=False)
+        panel = _checked(path, arrays, "panel", "iu", 1)
+        if panel.shape != (2,) or panel.min() < 1:
+            raise InputError(f"{path}: panel", "a width and a height", panel)
+        width, height = (int(n) for n in panel)
         columns: dict[Marginal, int] = {"u": width, "v": height, "uv": width * height}
         marginals: dict[Marginal, SparseRows] = {}
         for name, size in columns.items():
             if f"{name}_counts" not in arrays:
                 continue
-            indptr = np.concatenate(([0], np.cumsum(arrays[f"{name}_counts"], dtype=np.int64)))
-            indices, data = arrays[f"{name}_indices"], arrays[f"{name}_data"]
+            counts = _checked(path, arrays, f"{name}_counts", "u", 1)
+            indptr = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+            indices = _checked(path, arrays, f"{name}_indices", "u", 1)
+            data = _checked(path, arrays, f"{name}_data", "f", 1).astype(np.float32, copy=False)
             consistent = (
-                indptr.size == arrays["ambient"].size + 1
+                indptr.size == ambient.size + 1
                 and indices.size == data.size == indptr[-1]
                 and (indices.size == 0 or int(indices.max()) < size)
             )
@@ -334,4 +344,19 @@ class LightTransport:
             marginals[name] = SparseRows(indptr, indices, data, size)
         if not marginals:
             raise InputError(path, "at least one of the marginals u, v, uv", "none")
-        return cls(marginals, arrays["ambient"], (width, height), int(arrays["samples"]))
+        return cls(marginals, ambient, (width, height), samples)
+
+
+def _checked(
+    path: str | Path, arrays: dict[str, NDArray[Any]], key: str, kinds: str, dimensions: int
+) -> NDArray[Any]:
+    """Return an array of a file if it is there, of the right kind, finite and not negative."""
+    if key not in arrays:
+        raise InputError(f"{path}: {key}", "a light transport file", "no such entry")
+    array = arrays[key]
+    if array.dtype.kind not in kinds or array.ndim != dimensions:
+        found = f"{array.dtype} of shape {array.shape}"
+        raise InputError(f"{path}: {key}", f"{dimensions}-dimensional numbers", found)
+    if array.size and not (array.min() >= 0 and array.max() < np.inf):
+        raise InputError(f"{path}: {key}", "finite numbers that are not negative", "others")
+    return array

@@ -17,9 +17,12 @@ _SHOWN = 60
 
 
 class Parameters(BaseModel):
-    """Base of the parameter models: unknown keys are errors, values do not change."""
+    """Base of the parameter models: unknown keys are errors, values do not change.
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    Strict: a number written as text, or true for 1, is a slip and refused.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
 
 Model = TypeVar("Model", bound=Parameters)
@@ -57,7 +60,7 @@ def validated(model: type[Model], values: object, where: str, separator: str = "
         if key not in model.model_fields:
             raise InputError(where, f"one of the keys {known}", repr(key))
     try:
-        return model.model_validate(dict(values))
+        return model.model_validate(_tuples(dict(values)))
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         location = where
@@ -68,6 +71,15 @@ def validated(model: type[Model], values: object, where: str, separator: str = "
             raise InputError(location, "a value", "none") from error
         expected = first["msg"].removeprefix("Input should be ")
         raise InputError(location, expected, shown(first["input"])) from error
+
+
+def _tuples(value: Any) -> Any:
+    """Turn lists into tuples, which immutable models hold and strict ones insist on."""
+    if isinstance(value, Mapping):
+        return {key: _tuples(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(_tuples(item) for item in value)
+    return value
 
 
 def shown(value: Any) -> str:

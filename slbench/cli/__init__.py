@@ -36,10 +36,13 @@ def main() -> None:
         status = _refuse(error.format_message())  # type: ignore[attr-defined]
     except MemoryError as error:
         status = _refuse(f"memory: expected enough for this scene, got {error}")
+    except OSError as error:  # a full disk, a folder without permission
+        if isinstance(error, BrokenPipeError):
+            status = 0
+        else:
+            status = _refuse(f"{error.filename or 'file'}: expected to read or write, got {error}")
     except (typer.Abort, KeyboardInterrupt):
         status = 130
-    except BrokenPipeError:
-        status = 0
     sys.exit(status if isinstance(status, int) else 0)
 
 

@@ -11,6 +11,7 @@ import typer
 from rich.table import Table
 
 from slbench.cli.common import Json, Preview, SceneName, Seed, print_json, print_table, progress
+from slbench.errors import InputError
 from slbench.io import atomic_folder, write_exr, write_json, write_provenance
 
 
@@ -54,10 +55,14 @@ def scan(
     if patterns is not None or steps is not None or axes is not None:
         given: dict[str, Any] = {"sequence": "1,10,50", "shifts": 3, "axes": "u"}
         given |= loaded.specification.get("patterns", {})
+        if steps is not None and "@" in (patterns or given["sequence"]):
+            raise InputError("--steps", "no shifts (@) in the patterns too", patterns)
         loaded = loaded.with_patterns(
             patterns or given["sequence"], steps or given["shifts"], axes or given["axes"]
         )
     folder = out or Path("out") / loaded.name
+    if folder.exists() and not folder.is_dir():
+        raise InputError("--out", "a folder", f"{folder}, a file")
     with progress(as_json) as report:
         result = run(loaded, seed=seed, noise=noise, samples=spp, on_progress=report)
         write_scan(result, folder)

@@ -95,6 +95,8 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
             target = path / entry.name
             if target.is_dir() and not target.is_symlink():
                 shutil.rmtree(target)
+            elif entry.is_dir():
+                target.unlink(missing_ok=True)
             os.replace(entry, target)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)

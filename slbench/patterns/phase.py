@@ -111,8 +111,11 @@ def relative_phase(frames: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArra
     if stack.ndim != 3 or stack.shape[0] < 3 or stack.size == 0:
         raise InputError("relative_phase: frames", "shape (N >= 3, V, U)", stack.shape)
     shift = 2.0 * pi * np.arange(stack.shape[0]) / stack.shape[0]
-    cosine = np.tensordot(np.cos(shift), stack, axes=1)
-    sine = np.tensordot(np.sin(shift), stack, axes=1)
+    cosine = np.zeros(stack.shape[1:])
+    sine = np.zeros(stack.shape[1:])
+    for frame, angle in zip(stack, shift, strict=True):  # frame by frame: bounds the memory
+        cosine += np.cos(angle) * frame
+        sine += np.sin(angle) * frame
     phase = np.arctan2(sine, cosine)
     phase[phase < 0.0] += 2.0 * pi
     phase[phase >= 2.0 * pi] = 0.0  # a tiny negative angle rounds up to 2 pi

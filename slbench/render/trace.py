@@ -71,9 +71,15 @@ def trace(
         If Mitsuba cannot run here.
     """
     chosen: Axes = marginals or scene.sequence.axes or ("u",)
-    tracer = _Tracer(scene, chosen, samples or scene.samples, seed)
+    count = scene.samples if samples is None else samples
+    if not 1 <= count <= 65536:
+        raise InputError("samples", "1 to 65536", count)
+    if seed < 0:
+        raise InputError("seed", "a whole number >= 0", seed)
+    tracer = _Tracer(scene, chosen, count, seed)
     camera, projector = scene.rig.camera, scene.rig.projector
-    fall_off = camera.relative_illumination(camera.pixel_grid()).ravel()
+    # Pixels that strong distortion folds away see nothing.
+    fall_off = np.nan_to_num(camera.relative_illumination(camera.pixel_grid()).ravel())
     blocks: dict[Marginal, list[SparseRows]] = {name: [] for name in chosen}
     ambient = np.zeros(camera.width * camera.height, np.float32)
     for first, last in tracer.passes():

@@ -1,0 +1,316 @@
+"""Features fitted to measured points: steps, planes, spheres.
+
+A plane or a sphere is fitted to the points of each certified feature, as one does with a real
+artefact; no ground truth is needed.
+
+Plane flatness, sphere form and size follow the *definitions* of VDI/VDE 2634-2 and
+ISO 10360-13 (distance between the extreme residuals of a least-squares feature after 0.3 % of
+the points have been set aside; least-squares diameter).  They are not an accredited procedure:
+artefact, positions and number of repeats are the caller's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.objects import REFERENCE, Artefact, PlaneFeature, SphereFeature
+from slbench.rig import Device, Pose, Rig
+
+Array = NDArray[np.float64]
+
+#: Share of points set aside before form is taken (VDI/VDE 2634-2).
+SET_ASIDE = 0.003
+#: Fewer points than this carry no feature.
+MIN_POINTS = 20
+#: Fewer lines than this do not tell how errors go together.
+_MIN_LINES = 5
+#: A point further from the median than this many robust standard deviations (1.4826 MAD) is
+#: an outlier: beyond 6 sigma a Gaussian has two in a billion.
+OUTLIER_SIGMAS = 6.0
+#: Where a sphere turns further than this from a device, its points are not fitted: the pixel's
+#: footprint there is long, its light faint, and half of it may see the background.
+MAX_INCIDENCE = np.deg2rad(60.0)
+
+
+@dataclass(frozen=True)
+class StepScore:
+    """Height of one step above the reference face, mm.
+
+    ``measured_mm`` is the difference between the least-squares planes of step and reference,
+    each taken over the middle of its own face, along the object's z axis (thesis 6.2.3: the
+    block is aligned with the stage); ``std_mm`` the standard deviation of the step's points
+    about their plane; ``uncertainty_mm`` the standard uncertainty of the height that the
+    points' scatter leaves.
+    """
+
+    object: str
+    name: str
+    nominal_mm: float
+    measured_mm: float
+    std_mm: float
+    uncertainty_mm: float
+    points: int
+
+
+@dataclass(frozen=True)
+class PlaneScore:
+    """Flatness of one plane: range of residuals, mm, 0.3 % of the points set aside."""
+
+    object: str
+    name: str
+    flatness_mm: float
+    std_mm: float
+    points: int
+
+
+@dataclass(frozen=True)
+class SphereScore:
+    """Least-squares sphere through the points that face both devices, mm.
+
+    ``form_mm`` is the range of the residuals, 0.3 % of the points set aside.
+    """
+
+    object: str
+    name: str
+    nominal_radius_mm: float
+    radius_mm: float
+    radius_uncertainty_mm: float
+    centre_error_mm: float
+    form_mm: float
+    std_mm: float
+    points: int
+
+
+FeatureScore = StepScore | PlaneScore | SphereScore
+
+
+def fit_features(
+    points: Array,
+    artefact: Artefact,
+    pose: Pose,
+    lines: NDArray[np.integer] | None = None,
+    rig: Rig | None = None,
+) -> list[FeatureScore]:
+    """Fit an artefact's features to measured points; no ground truth needed.
+
+    Parameters
+    ----------
+    points : (N, 3) float
+        World coordinates, mm, of points on the artefact.
+    artefact : Artefact
+    pose : Pose
+        Where the artefact is; good to a fraction of the features' margins.
+    lines : (N,) int, optional
+        Image line of each point (its column, where columns are coded): errors go together
+        along a line and from one line to the next.  Without it, points are independent.
+    rig : Rig, optional
+        So that spheres are fitted where they face both devices.
+
+    Returns
+    -------
+    list of StepScore, PlaneScore, SphereScore
+        Features with fewer than 20 points are left out.  Points further than six robust
+        standard deviations from the rest are set aside first.
+    """
+    local = pose.to_local(points)
+    labels = np.arange(len(local)) if lines is None else np.asarray(lines)
+    found: list[FeatureScore] = []
+    planes: dict[str, _Plane] = {}
+    for face in artefact.planes:
+        over = np.flatnonzero(face.contains(local))
+        # Gross errors of the fringe order would tilt the plane; they are far off the face.
+        height = local[over, 2] - face.z_mm
+        over = over[core(height) & (np.abs(height) < _reach(artefact, face))]
+        if len(over) >= MIN_POINTS:
+            planes[face.name] = _Plane.fit(face, local[over], labels[over])
+            found.append(planes[face.name].flatness(artefact.name))
+    base = planes.get(REFERENCE)
+    if base is not None:
+        found += [
+            plane.step(artefact.name, base) for name, plane in planes.items() if name != REFERENCE
+        ]
+    for sphere in artefact.spheres:
+        outward = local - np.array(sphere.centre_mm)
+        radial = np.linalg.norm(outward, axis=-1) - sphere.radius_mm
+        near = np.flatnonzero(np.abs(radial) < 0.2 * sphere.radius_mm)
+        if rig is not None:
+            normal = outward[near] @ pose.rotation.T
+            for device in (rig.camera, rig.projector):
+                near, normal = _facing(device, points, near, normal)
+        near = near[core(radial[near])]
+        if len(near) >= MIN_POINTS:
+            found.append(_score_sphere(artefact.name, sphere, local[near], labels[near]))
+    return found
+
+
+def core(values: Array) -> NDArray[np.bool_]:
+    """Tell which values (n,) are no outliers, by median and MAD."""
+    if not values.size:
+        return np.zeros(0, bool)
+    off = np.abs(values - np.median(values))
+    # Noise-free values can agree to rounding: that is no reason to reject any.
+    return off <= OUTLIER_SIGMAS * 1.4826 * np.median(off) + 1e-9
+
+
+def _facing(
+    device: Device, points: Array, chosen: NDArray[np.intp], normal: Array
+) -> tuple[NDArray[np.intp], Array]:
+    """Keep the chosen points whose normal turns no further than allowed from a device."""
+    if device.lens.kind == "telecentric":
+        toward = np.broadcast_to(-device.pose.rotation[:, 2], normal.shape)
+    else:
+        toward = device.pose.position - points[chosen]
+    cosine = np.sum(toward * normal, axis=-1) / (
+        np.linalg.norm(toward, axis=-1) * np.linalg.norm(normal, axis=-1)
+    )
+    kept = cosine > np.cos(MAX_INCIDENCE)
+    return chosen[kept], normal[kept]
+
+
+def _reach(artefact: Artefact, feature: PlaneFeature) -> float:
+    """Return how far from a face its points may lie: half way to the next level."""
+    others = [abs(p.z_mm - feature.z_mm) for p in artefact.planes if p.name != feature.name]
+    return 0.5 * min(others) if others else np.inf
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """Least-squares plane through the points of one face, in the object frame.
+
+    ``height_mm`` is its z over the middle of the face's interior, ``variance_mm2`` the
+    variance of that.
+    """
+
+    face: PlaneFeature
+    height_mm: float
+    variance_mm2: float
+    residuals: Array
+
+    @classmethod
+    def fit(cls, face: PlaneFeature, points: Array, labels: NDArray[np.integer]) -> _Plane:
+        middle = np.array([np.mean(face.x_mm), np.mean(face.y_mm)])
+        design = np.column_stack((np.ones(len(points)), points[:, :2] - middle))
+        coefficients, *_ = np.linalg.lstsq(design, points[:, 2], rcond=None)
+        residuals = points[:, 2] - design @ coefficients
+        covariance = _covariance(design, residuals, labels)
+        normal = residuals / np.sqrt(1.0 + np.sum(coefficients[1:] ** 2))
+        return cls(face, float(coefficients[0]), float(covariance[0, 0]), normal)
+
+    def flatness(self, owner: str) -> PlaneScore:
+        return PlaneScore(
+            owner,
+            self.face.name,
+            _trimmed_range(self.residuals),
+            _spread(self.residuals, 3),
+            len(self.residuals),
+        )
+
+    def step(self, owner: str, base: _Plane) -> StepScore:
+        return StepScore(
+            owner,
+            self.face.name,
+            self.face.height_mm,
+            self.height_mm - base.height_mm,
+            _spread(self.residuals, 3),
+            float(np.sqrt(self.variance_mm2 + base.variance_mm2)),
+            len(self.residuals),
+        )
+
+
+def _covariance(jacobian: Array, residuals: Array, lines: NDArray[np.integer]) -> Array:
+    """Covariance of least-squares coefficients under errors that go together along lines.
+
+    The classical formula takes points as independent.  Sums over whole lines allow for any
+    correlation within a line, and Newey and West's weights (Econometrica 55, 1987) for that
+    between lines up to a third of their number apart: the staircase of the projector's pixels
+    alternates from line to line and mostly cancels.  Each variance is at least the classical
+    one.  NaN for fewer than five lines, which cannot tell.
+    """
+    _, line = np.unique(lines, return_inverse=True)
+    count, columns = int(line.max()) + 1, jacobian.shape[1]
+    bread = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    classical = bread * float(residuals @ residuals) / max(len(residuals) - columns, 1)
+    if count == len(residuals):
+        return classical
+    if count < _MIN_LINES:
+        return np.full_like(classical, np.nan)
+    scores = np.stack(
+        [np.bincount(line, jacobian[:, k] * residuals, count) for k in range(columns)], axis=-1
+    )
+    meat: Array = scores.T @ scores
+    reach = count // 3
+    for lag in range(1, reach + 1):
+        cross = scores[lag:].T @ scores[:-lag]
+        meat = meat + (1.0 - lag / (reach + 1.0)) * (cross + cross.T)
+    robust = bread @ meat @ bread
+    raised = np.sqrt(np.maximum(np.diag(classical) / np.maximum(np.diag(robust), 1e-300), 1.0))
+    return robust * np.outer(raised, raised)
+
+
+def _spread(residuals: Array, fitted: int) -> float:
+    """Return the standard deviation of residuals after `fitted` parameters were taken from them."""
+    return float(np.sqrt(np.sum(residuals**2) / max(len(residuals) - fitted, 1)))
+
+
+def fit_sphere(points: Array) -> tuple[Array, float, Array, Array]:
+    """Fit a sphere by geometric least squares (Gauss-Newton on the radial residuals).
+
+    Parameters
+    ----------
+    points : (N, 3) float
+
+    Returns
+    -------
+    centre : (3,) float
+    radius : float
+    residuals : (N,) float
+        Distance from the centre minus the radius.
+    jacobian : (N, 4) float
+        Derivative of the residuals by centre and radius.
+    """
+    # Start from the algebraic fit |p|^2 = 2 c.p + (r^2 - |c|^2).
+    offset = points.mean(axis=0)
+    p = points - offset
+    design = np.column_stack((2.0 * p, np.ones(len(p))))
+    solution, *_ = np.linalg.lstsq(design, np.sum(p * p, axis=-1), rcond=None)
+    centre = solution[:3]
+    radius = float(np.sqrt(max(solution[3] + centre @ centre, 0.0)))
+    for _ in range(50):
+        toward = p - centre
+        distance = np.linalg.norm(toward, axis=-1)
+        jacobian = np.column_stack((-toward / distance[:, None], -np.ones(len(p))))
+        step, *_ = np.linalg.lstsq(jacobian, radius - distance, rcond=None)
+        centre = centre + step[:3]
+        radius += float(step[3])
+        if np.max(np.abs(step)) < 1e-12 * max(radius, 1.0):
+            break
+    residuals = np.linalg.norm(p - centre, axis=-1) - radius
+    return centre + offset, radius, residuals, jacobian
+
+
+def _score_sphere(
+    name: str, sphere: SphereFeature, points: Array, labels: NDArray[np.integer]
+) -> SphereScore:
+    centre, radius, residuals, jacobian = fit_sphere(points)
+    covariance = _covariance(jacobian, residuals, labels)
+    return SphereScore(
+        name,
+        sphere.name,
+        sphere.radius_mm,
+        radius,
+        float(np.sqrt(covariance[3, 3])),
+        float(np.linalg.norm(centre - np.array(sphere.centre_mm))),
+        _trimmed_range(residuals),
+        _spread(residuals, 4),
+        len(points),
+    )
+
+
+def _trimmed_range(residuals: Array) -> float:
+    """Range of the residuals after the 0.3 % furthest from zero have been set aside."""
+    kept = residuals.size - int(np.ceil(SET_ASIDE * residuals.size))
+    order = np.argsort(np.abs(residuals))[: max(kept, 1)]
+    return float(np.ptp(residuals[order]))
