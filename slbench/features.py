@@ -113,7 +113,7 @@ def fit_features(
     -------
     list of StepScore, PlaneScore, SphereScore
         Features with fewer than 20 points are left out.  Points further than six robust
-        standard deviations from the rest are set aside first.
+        standard deviations from the rest take no part in a fit; they do count as form.
     """
     local = pose.to_local(points)
     labels = np.arange(len(local)) if lines is None else np.asarray(lines)
@@ -121,9 +121,8 @@ def fit_features(
     planes: dict[str, _Plane] = {}
     for face in artefact.planes:
         over = np.flatnonzero(face.contains(local))
-        # Gross errors of the fringe order would tilt the plane; they are far off the face.
-        height = local[over, 2] - face.z_mm
-        over = over[core(height) & (np.abs(height) < _reach(artefact, face))]
+        # Gross errors of the fringe order are far off the face.
+        over = over[np.abs(local[over, 2] - face.z_mm) < _reach(artefact, face)]
         if len(over) >= MIN_POINTS:
             planes[face.name] = _Plane.fit(face, local[over], labels[over])
             found.append(planes[face.name].flatness(artefact.name))
@@ -140,7 +139,6 @@ def fit_features(
             normal = outward[near] @ pose.rotation.T
             for device in (rig.camera, rig.projector):
                 near, normal = _facing(device, points, near, normal)
-        near = near[core(radial[near])]
         if len(near) >= MIN_POINTS:
             found.append(_score_sphere(artefact.name, sphere, local[near], labels[near]))
     return found
@@ -178,33 +176,37 @@ def _reach(artefact: Artefact, feature: PlaneFeature) -> float:
 
 @dataclass(frozen=True)
 class _Plane:
-    """Least-squares plane through the points of one face, in the object frame.
+    """Least-squares plane through the inliers of one face's points, in the object frame.
 
     ``height_mm`` is its z over the middle of the face's interior, ``variance_mm2`` the
-    variance of that.
+    variance of that; the residuals are those of all points.
     """
 
     face: PlaneFeature
     height_mm: float
     variance_mm2: float
     residuals: Array
+    inliers: NDArray[np.bool_]
 
     @classmethod
     def fit(cls, face: PlaneFeature, points: Array, labels: NDArray[np.integer]) -> _Plane:
+        kept = core(points[:, 2])
         middle = np.array([np.mean(face.x_mm), np.mean(face.y_mm)])
         design = np.column_stack((np.ones(len(points)), points[:, :2] - middle))
-        coefficients, *_ = np.linalg.lstsq(design, points[:, 2], rcond=None)
+        inner = design if kept.all() else design[kept]
+        # Three columns of some millimetres about the middle: well conditioned.
+        coefficients = np.linalg.solve(inner.T @ inner, inner.T @ points[kept, 2])
         residuals = points[:, 2] - design @ coefficients
-        covariance = _covariance(design, residuals, labels)
+        covariance = _covariance(inner, residuals[kept], labels[kept])
         normal = residuals / np.sqrt(1.0 + np.sum(coefficients[1:] ** 2))
-        return cls(face, float(coefficients[0]), float(covariance[0, 0]), normal)
+        return cls(face, float(coefficients[0]), float(covariance[0, 0]), normal, kept)
 
     def flatness(self, owner: str) -> PlaneScore:
         return PlaneScore(
             owner,
             self.face.name,
             _trimmed_range(self.residuals),
-            _spread(self.residuals, 3),
+            _spread(self.residuals[self.inliers], 3),
             len(self.residuals),
         )
 
@@ -214,7 +216,7 @@ class _Plane:
             self.face.name,
             self.face.height_mm,
             self.height_mm - base.height_mm,
-            _spread(self.residuals, 3),
+            _spread(self.residuals[self.inliers], 3),
             float(np.sqrt(self.variance_mm2 + base.variance_mm2)),
             len(self.residuals),
         )
@@ -226,8 +228,10 @@ def _covariance(jacobian: Array, residuals: Array, lines: NDArray[np.integer]) -
     The classical formula takes points as independent.  Sums over whole lines allow for any
     correlation within a line, and Newey and West's weights (Econometrica 55, 1987) for that
     between lines up to a third of their number apart: the staircase of the projector's pixels
-    alternates from line to line and mostly cancels.  Each variance is at least the classical
-    one.  NaN for fewer than five lines, which cannot tell.
+    alternates from line to line and mostly cancels.  So wide a reach makes the estimate low
+    and uncertain; the factor of Kiefer and Vogelsang (Econometric Theory 21, 2005, table 1)
+    widens it so that 1.96 standard uncertainties cover 95 %.  Each variance is at least the
+    classical one.  NaN for fewer than five lines, which cannot tell.
     """
     _, line = np.unique(lines, return_inverse=True)
     count, columns = int(line.max()) + 1, jacobian.shape[1]
@@ -237,15 +241,17 @@ def _covariance(jacobian: Array, residuals: Array, lines: NDArray[np.integer]) -
         return classical
     if count < _MIN_LINES:
         return np.full_like(classical, np.nan)
-    scores = np.stack(
+    scores: Array = np.stack(
         [np.bincount(line, jacobian[:, k] * residuals, count) for k in range(columns)], axis=-1
     )
-    meat: Array = scores.T @ scores
+    meat = scores.T @ scores
     reach = count // 3
     for lag in range(1, reach + 1):
         cross = scores[lag:].T @ scores[:-lag]
         meat = meat + (1.0 - lag / (reach + 1.0)) * (cross + cross.T)
-    robust = bread @ meat @ bread
+    b = reach / count
+    widened = 1.0 + (2.9694 * b + 0.4160 * b**2 - 0.5324 * b**3) / 1.96
+    robust = bread @ meat @ bread * widened**2
     raised = np.sqrt(np.maximum(np.diag(classical) / np.maximum(np.diag(robust), 1e-300), 1.0))
     return robust * np.outer(raised, raised)
 
@@ -294,8 +300,10 @@ def fit_sphere(points: Array) -> tuple[Array, float, Array, Array]:
 def _score_sphere(
     name: str, sphere: SphereFeature, points: Array, labels: NDArray[np.integer]
 ) -> SphereScore:
-    centre, radius, residuals, jacobian = fit_sphere(points)
-    covariance = _covariance(jacobian, residuals, labels)
+    kept = core(np.linalg.norm(points - np.array(sphere.centre_mm), axis=-1))
+    centre, radius, inner, jacobian = fit_sphere(points[kept])
+    covariance = _covariance(jacobian, inner, labels[kept])
+    residuals = np.linalg.norm(points - centre, axis=-1) - radius
     return SphereScore(
         name,
         sphere.name,
@@ -304,7 +312,7 @@ def _score_sphere(
         float(np.sqrt(covariance[3, 3])),
         float(np.linalg.norm(centre - np.array(sphere.centre_mm))),
         _trimmed_range(residuals),
-        _spread(residuals, 4),
+        _spread(inner, 4),
         len(points),
     )
 

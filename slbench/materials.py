@@ -8,7 +8,7 @@ named, and a scene can override each.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 from slbench.errors import InputError
 
@@ -45,6 +45,8 @@ class Material:
     source: str = ""
 
     def __post_init__(self) -> None:
+        if self.bsdf not in get_args(Bsdf):
+            raise InputError("material bsdf", " or ".join(get_args(Bsdf)), self.bsdf)
         if not 0 <= self.albedo <= 1:
             raise InputError("material albedo", "a number in [0, 1]", self.albedo)
         if not 0 < self.roughness <= 1:
@@ -52,8 +54,10 @@ class Material:
         if self.eta is None:
             default = 2.95 if self.bsdf == "rough_conductor" else 1.5
             object.__setattr__(self, "eta", default)
-        if not (self.eta or 0) > 0 or not self.k >= 0:
-            raise InputError("material eta, k", "eta > 0 and k >= 0", f"{self.eta}, {self.k}")
+        least = 1.0 if self.bsdf == "rough_plastic" else 0.0
+        if not (self.eta or 0) > least or not self.k >= 0:
+            expected = f"eta > {least:g} and k >= 0"
+            raise InputError("material eta, k", expected, f"{self.eta}, {self.k}")
 
 
 _TRANSITION_METALS = "n, k at 549 nm: Johnson and Christy, Phys. Rev. B 9, 5056 (1974), "

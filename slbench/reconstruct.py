@@ -139,9 +139,8 @@ def intersect_axis(
 ) -> tuple[Array, Array]:
     """Intersect camera rays with the surfaces of constant panel coordinate.
 
-    Without distortion the surface is a plane and the answer closed.  With it, the closed
-    answer is repeated with the coordinate corrected by what the projection of the last
-    answer misses (a fixed-point iteration: the correction changes slowly along a ray).
+    Without distortion and tilt the surface is a plane and the answer closed; with them it is
+    the start of Newton's method along the ray.
 
     Parameters
     ----------
@@ -163,27 +162,39 @@ def intersect_axis(
     origin = projector.pose.to_local(origins)
     direction = directions @ projector.pose.rotation
     per_unit = projector.lens.focal_length_mm / projector.pitch_mm[k]
-    nonlinear = any(projector.distortion) or any(projector.tilt_rad)
     with np.errstate(invalid="ignore", divide="ignore"):
-        target = panel
-        for _ in range(_MAX_ITERATIONS):
-            x = (target - projector.centre[k]) / per_unit
-            distance, slope = _meet_plane(projector, origin, direction, x, k)
-            points = origins + distance[:, None] * directions
-            if not nonlinear:
-                break
-            missing = panel - projector.project(points)[:, k]
-            if not np.any(np.abs(missing) > _TOLERANCE_PX):
-                break
-            target = target + missing
-        behind = ~((distance > 0) & (origin[:, 2] + distance * direction[:, 2] > 0))
-        points[behind] = np.nan
-        if not nonlinear:
-            return points, directions * (slope / per_unit)[:, None]
+        x = (panel - projector.centre[k]) / per_unit
+        distance, slope = _meet_plane(projector, origin, direction, x, k)
+        slope = slope / per_unit
+        if any(projector.distortion) or any(projector.tilt_rad):
+            distance, slope = _meet_curve(projector, origins, directions, panel, k, distance)
+        ahead = (distance > 0) & (origin[:, 2] + distance * direction[:, 2] > 0)
+        distance = np.where(ahead, distance, np.nan)
+    return origins + distance[:, None] * directions, directions * slope[:, None]
+
+
+def _meet_curve(
+    projector: Device, origins: Array, directions: Array, panel: Array, k: int, distance: Array
+) -> tuple[Array, Array]:
+    """Refine distances along rays until the panel coordinate is met; Newton's method.
+
+    Returns the distances, NaN where none is found, and their derivative by the coordinate.
+    """
+    for _ in range(_MAX_ITERATIONS):
+        points = origins + distance[:, None] * directions
         pixels, jacobian = projector.project_with_jacobian(points)
-        # A folded distortion can keep the iteration from its goal.
-        points[~(np.abs(pixels[:, k] - panel) < 1e-6)] = np.nan
-        return points, directions / np.sum(jacobian[:, k] * directions, axis=-1)[:, None]
+        missing = panel - pixels[:, k]
+        slope = 1.0 / np.sum(jacobian[:, k] * directions, axis=-1)
+        if not np.any(np.abs(missing) > _TOLERANCE_PX):
+            break
+        distance = distance + missing * slope
+    # Beyond a fold of the distortion the image turns back: the pixel is met, but the lens
+    # sends its light elsewhere.
+    source, ray = projector.unproject(pixels)
+    toward = points - source
+    beside = np.linalg.norm(toward - ray * np.sum(toward * ray, axis=-1, keepdims=True), axis=-1)
+    seen = (np.abs(missing) < 1e-6) & (beside < 1e-6 * np.linalg.norm(toward, axis=-1))
+    return np.where(seen, distance, np.nan), slope
 
 
 def _meet_plane(

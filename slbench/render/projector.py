@@ -51,7 +51,7 @@ class ThinLensProjector(mi.Emitter):
         self.m_needs_sample_3 = self.optics.needs_lens_sample
 
     def traverse(self, callback: Any) -> None:
-        """Expose scale, pose and picture to ``mi.traverse``."""
+        """Expose scale and picture to ``mi.traverse``."""
         super().traverse(callback)
         callback.put("scale", self.scale, mi.ParamFlags.Differentiable)
         callback.put("irradiance", self.irradiance, mi.ParamFlags.Differentiable)
