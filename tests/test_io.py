@@ -508,3 +508,12 @@ def test_provenance_does_not_import_the_renderer():
     )
     output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert output.stdout.strip() == "[]", output.stderr
+
+
+def test_opencv_yaml_reads_arrays_of_one_dimension(tmp_path):
+    # OpenCV 5 writes them as n-dimensional arrays, with sizes instead of rows and columns.
+    storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("T", np.array([1.0, -2.0, 3.5]))
+    storage.release()
+    found = read_opencv_yaml(tmp_path / "rig.yml")["T"]
+    np.testing.assert_array_equal(np.ravel(found), [1.0, -2.0, 3.5])

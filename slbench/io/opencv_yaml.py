@@ -3,6 +3,7 @@
 Written and read by OpenCV itself: its YAML is a dialect of its own.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from slbench.errors import InputError
 from slbench.io.atomic import atomic_path, describe, existing
@@ -107,23 +109,36 @@ def _value(node: Any, where: str) -> Any:
         return float(node.real())
     if node.isString():
         return node.string()
-    if node.isSeq():
-        items = [node.at(i) for i in range(node.size())]
-        if all(item.isInt() or item.isReal() for item in items):
-            return np.array([item.real() for item in items], dtype=np.float64)
-    if node.isMap() and _is_sound_matrix(node):
-        return np.asarray(node.mat(), dtype=np.float64)
+    if node.isSeq() and (numbers := _numbers(node)) is not None:
+        return numbers
+    if node.isMap() and (matrix := _matrix(node)) is not None:
+        return matrix
     raise InputError(where, "a matrix, a number, a text or a list of numbers", "something else")
 
 
-def _is_sound_matrix(node: Any) -> bool:
-    """Whether a map is a matrix of one channel that has as many elements as it says.
+def _numbers(node: Any) -> NDArray[np.float64] | None:
+    """Return a list of numbers, or None if it holds anything else."""
+    items = [node.at(i) for i in range(node.size())]
+    if not all(item.isInt() or item.isReal() for item in items):
+        return None
+    return np.array([item.real() for item in items], dtype=np.float64)
 
-    ``FileNode.mat`` writes beyond its memory when ``cols`` is missing, so ask first.
+
+def _matrix(node: Any) -> NDArray[np.float64] | None:
+    """Return a matrix of one channel, or None if the map is none or not a sound one.
+
+    ``FileNode.mat`` writes beyond its memory when ``cols`` is missing, so it is not used.
+    OpenCV 5 gives arrays of one axis ``sizes`` in place of ``rows`` and ``cols``.
     """
-    rows, columns = node.getNode("rows"), node.getNode("cols")
-    kind, data = node.getNode("dt"), node.getNode("data")
-    if not (rows.isInt() and columns.isInt() and kind.isString() and data.isSeq()):
-        return False
-    shape = int(rows.real()), int(columns.real())
-    return min(shape) > 0 and len(kind.string()) == 1 and shape[0] * shape[1] == data.size()
+    kind, data, sizes = (node.getNode(name) for name in ("dt", "data", "sizes"))
+    if not (kind.isString() and len(kind.string()) == 1 and data.isSeq()):
+        return None
+    if sizes.isSeq():
+        lengths = [sizes.at(i) for i in range(sizes.size())]
+    else:
+        lengths = [node.getNode("rows"), node.getNode("cols")]
+    values = _numbers(data)
+    if values is None or not lengths or not all(length.isInt() for length in lengths):
+        return None
+    shape = [int(length.real()) for length in lengths]
+    return values.reshape(shape) if min(shape) > 0 and math.prod(shape) == values.size else None
