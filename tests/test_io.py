@@ -515,5 +515,5 @@ def test_opencv_yaml_reads_arrays_of_one_dimension(tmp_path):
     storage = cv2.FileStorage(str(tmp_path / "rig.yml"), cv2.FILE_STORAGE_WRITE)
     storage.write("T", np.array([1.0, -2.0, 3.5]))
     storage.release()
-    found = read_opencv_yaml(tmp_path / "rig.yml")["T"]
+    found = io.read_opencv_yaml(tmp_path / "rig.yml")["T"]
     np.testing.assert_array_equal(np.ravel(found), [1.0, -2.0, 3.5])
