@@ -11,6 +11,7 @@ artefact, positions and number of repeats are the caller's.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,7 +85,18 @@ class SphereScore:
     points: int
 
 
-FeatureScore = StepScore | PlaneScore | SphereScore
+@dataclass(frozen=True)
+class SpacingScore:
+    """Distance between the centres of two spheres of one object, mm (ISO 10360-13)."""
+
+    object: str
+    name: str
+    nominal_mm: float
+    measured_mm: float
+    uncertainty_mm: float
+
+
+FeatureScore = StepScore | PlaneScore | SphereScore | SpacingScore
 
 
 def fit_features(
@@ -111,7 +123,7 @@ def fit_features(
 
     Returns
     -------
-    list of StepScore, PlaneScore, SphereScore
+    list of StepScore, PlaneScore, SphereScore, SpacingScore
         Features with fewer than 20 points are left out.  Points further than six robust
         standard deviations from the rest take no part in a fit; they do count as form.
     """
@@ -131,6 +143,7 @@ def fit_features(
         found += [
             plane.step(artefact.name, base) for name, plane in planes.items() if name != REFERENCE
         ]
+    balls: list[_Ball] = []
     for sphere in artefact.spheres:
         outward = local - np.array(sphere.centre_mm)
         radial = np.linalg.norm(outward, axis=-1) - sphere.radius_mm
@@ -140,7 +153,9 @@ def fit_features(
             for device in (rig.camera, rig.projector):
                 near, normal = _facing(device, points, near, normal)
         if len(near) >= MIN_POINTS:
-            found.append(_score_sphere(artefact.name, sphere, local[near], labels[near]))
+            balls.append(_Ball.fit(sphere, local[near], labels[near]))
+    found += [ball.score(artefact.name) for ball in balls]
+    found += [a.spacing(artefact.name, b) for a, b in itertools.combinations(balls, 2)]
     return found
 
 
@@ -170,8 +185,9 @@ def _facing(
 
 def _reach(artefact: Artefact, feature: PlaneFeature) -> float:
     """Return how far from a face its points may lie: half way to the next level."""
-    others = [abs(p.z_mm - feature.z_mm) for p in artefact.planes if p.name != feature.name]
-    return 0.5 * min(others) if others else np.inf
+    others = [abs(p.z_mm - feature.z_mm) for p in artefact.planes]
+    # Faces at one height (the pins of a brick) do not limit one another.
+    return 0.5 * min((gap for gap in others if gap > 1e-9), default=np.inf)
 
 
 @dataclass(frozen=True)
@@ -297,24 +313,54 @@ def fit_sphere(points: Array) -> tuple[Array, float, Array, Array]:
     return centre + offset, radius, residuals, jacobian
 
 
-def _score_sphere(
-    name: str, sphere: SphereFeature, points: Array, labels: NDArray[np.integer]
-) -> SphereScore:
-    kept = core(np.linalg.norm(points - np.array(sphere.centre_mm), axis=-1))
-    centre, radius, inner, jacobian = fit_sphere(points[kept])
-    covariance = _covariance(jacobian, inner, labels[kept])
-    residuals = np.linalg.norm(points - centre, axis=-1) - radius
-    return SphereScore(
-        name,
-        sphere.name,
-        sphere.radius_mm,
-        radius,
-        float(np.sqrt(covariance[3, 3])),
-        float(np.linalg.norm(centre - np.array(sphere.centre_mm))),
-        _trimmed_range(residuals),
-        _spread(inner, 4),
-        len(points),
-    )
+@dataclass(frozen=True)
+class _Ball:
+    """Least-squares sphere through the inliers of one sphere's points, in the object frame.
+
+    ``covariance`` (4, 4) is that of centre and radius; the residuals are those of all points.
+    """
+
+    sphere: SphereFeature
+    centre: Array
+    radius: float
+    covariance: Array
+    residuals: Array
+    std: float
+
+    @classmethod
+    def fit(cls, sphere: SphereFeature, points: Array, labels: NDArray[np.integer]) -> _Ball:
+        kept = core(np.linalg.norm(points - np.array(sphere.centre_mm), axis=-1))
+        centre, radius, inner, jacobian = fit_sphere(points[kept])
+        covariance = _covariance(jacobian, inner, labels[kept])
+        residuals = np.linalg.norm(points - centre, axis=-1) - radius
+        return cls(sphere, centre, radius, covariance, residuals, _spread(inner, 4))
+
+    def score(self, owner: str) -> SphereScore:
+        return SphereScore(
+            owner,
+            self.sphere.name,
+            self.sphere.radius_mm,
+            self.radius,
+            float(np.sqrt(self.covariance[3, 3])),
+            float(np.linalg.norm(self.centre - np.array(self.sphere.centre_mm))),
+            _trimmed_range(self.residuals),
+            self.std,
+            len(self.residuals),
+        )
+
+    def spacing(self, owner: str, other: _Ball) -> SpacingScore:
+        nominal = np.array(other.sphere.centre_mm) - np.array(self.sphere.centre_mm)
+        between = other.centre - self.centre
+        distance = float(np.linalg.norm(between))
+        along = between / distance
+        variance = along @ (self.covariance + other.covariance)[:3, :3] @ along
+        return SpacingScore(
+            owner,
+            f"{self.sphere.name} to {other.sphere.name}",
+            float(np.linalg.norm(nominal)),
+            distance,
+            float(np.sqrt(variance)),
+        )
 
 
 def _trimmed_range(residuals: Array) -> float:

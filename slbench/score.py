@@ -17,6 +17,7 @@ from slbench.features import (
     OUTLIER_SIGMAS,
     FeatureScore,
     PlaneScore,
+    SpacingScore,
     SphereScore,
     StepScore,
     fit_features,
@@ -56,6 +57,7 @@ class Score:
     steps: list[StepScore] = field(default_factory=list)
     planes: list[PlaneScore] = field(default_factory=list)
     spheres: list[SphereScore] = field(default_factory=list)
+    spacings: list[SpacingScore] = field(default_factory=list)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""
@@ -129,6 +131,7 @@ def score(
         steps=[f for f in features if isinstance(f, StepScore)],
         planes=[f for f in features if isinstance(f, PlaneScore)],
         spheres=[f for f in features if isinstance(f, SphereScore)],
+        spacings=[f for f in features if isinstance(f, SpacingScore)],
     )
 
 

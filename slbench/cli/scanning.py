@@ -107,6 +107,10 @@ def _scan_table(result: Any) -> Table:
         )
         for s in score.spheres
     ]
+    rows += [
+        (f"spacing {s.nominal_mm:g} mm", f"{s.measured_mm:.4f} mm, {s.name}")
+        for s in score.spacings
+    ]
     rows.append(("seconds", ", ".join(f"{k} {v:.2f}" for k, v in seconds.items())))
     for row in rows:
         table.add_row(*row)

@@ -36,11 +36,62 @@ from slbench.objects.artefact import (
     measure_features,
     surface_height,
 )
+from slbench.objects.ball_bar import BallBarParameters, build_ball_bar, measure_ball_bar
+from slbench.objects.bevel_gear import (
+    CurvedGearParameters,
+    build_curved_gear,
+    measure_curved_gear,
+)
+from slbench.objects.brick import BrickParameters, build_brick, measure_brick
 from slbench.objects.cache import cached
+from slbench.objects.calibration_grid import (
+    CalibrationGridParameters,
+    build_calibration_grid,
+    measure_calibration_grid,
+)
+from slbench.objects.chequerboard import (
+    ChequerboardParameters,
+    build_chequerboard,
+    measure_chequerboard,
+)
+from slbench.objects.circle_grid import (
+    CircleGridParameters,
+    build_circle_grid,
+    measure_circle_grid,
+)
+from slbench.objects.coin import CoinParameters, build_coin, measure_coin
+from slbench.objects.engine_block import (
+    EngineBlockParameters,
+    build_engine_block,
+    measure_engine_block,
+)
+from slbench.objects.gear import GearParameters, build_gear, measure_gear
+from slbench.objects.helical_gear import (
+    HelicalGearParameters,
+    build_helical_gear,
+    measure_helical_gear,
+)
 from slbench.objects.meshfile import MeshParameters, build_mesh_file
+from slbench.objects.microlens import MicroLensParameters, build_micro_lens, measure_micro_lens
 from slbench.objects.plane import PlaneParameters, build_plane
+from slbench.objects.propeller import (
+    PropellerParameters,
+    build_propeller,
+    measure_propeller,
+)
+from slbench.objects.pyramid_array import (
+    PyramidArrayParameters,
+    build_pyramid_array,
+    measure_pyramid_array,
+)
+from slbench.objects.sinusoid import SinusoidParameters, build_sinusoid, measure_sinusoid
 from slbench.objects.sphere import SphereParameters, build_sphere
 from slbench.objects.stepblock import StepBlockParameters, build_step_block
+from slbench.objects.watch_gear import (
+    WatchGearParameters,
+    build_watch_gear,
+    measure_watch_gear,
+)
 from slbench.validation import Finite, Parameters, shown, validated
 
 __all__ = [
@@ -78,6 +129,29 @@ KINDS: dict[str, ArtefactKind] = {
     "sphere": ArtefactKind(SphereParameters, build_sphere),
     "step_block": ArtefactKind(StepBlockParameters, build_step_block),
     "mesh": ArtefactKind(MeshParameters, build_mesh_file),
+    "calibration_grid": ArtefactKind(
+        CalibrationGridParameters, build_calibration_grid, measure_calibration_grid
+    ),
+    "chequerboard": ArtefactKind(
+        ChequerboardParameters, build_chequerboard, measure_chequerboard
+    ),
+    "circle_grid": ArtefactKind(CircleGridParameters, build_circle_grid, measure_circle_grid),
+    "coin": ArtefactKind(CoinParameters, build_coin, measure_coin),
+    "micro_lens": ArtefactKind(MicroLensParameters, build_micro_lens, measure_micro_lens),
+    "pyramid_array": ArtefactKind(
+        PyramidArrayParameters, build_pyramid_array, measure_pyramid_array
+    ),
+    "sinusoid": ArtefactKind(SinusoidParameters, build_sinusoid, measure_sinusoid),
+    "propeller": ArtefactKind(PropellerParameters, build_propeller, measure_propeller),
+    "brick": ArtefactKind(BrickParameters, build_brick, measure_brick),
+    "engine_block": ArtefactKind(EngineBlockParameters, build_engine_block, measure_engine_block),
+    "ball_bar": ArtefactKind(BallBarParameters, build_ball_bar, measure_ball_bar),
+    "gear": ArtefactKind(GearParameters, build_gear, measure_gear),
+    "curved_gear": ArtefactKind(CurvedGearParameters, build_curved_gear, measure_curved_gear),
+    "watch_gear": ArtefactKind(WatchGearParameters, build_watch_gear, measure_watch_gear),
+    "double_helical_gear": ArtefactKind(
+        HelicalGearParameters, build_helical_gear, measure_helical_gear
+    ),
 }
 
 

@@ -312,7 +312,14 @@ def surface_height(mesh: Mesh, points_xy_mm: ArrayLike) -> NDArray[np.float64]:
         The highest z of the faces over each place, mm; NaN beside the mesh.
     """
     places = np.asarray(points_xy_mm, dtype=np.float64)
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
+    corners = mesh.vertices[mesh.faces]
+    if len(places):
+        # Only faces within reach: those whose bounding box meets the places' own.
+        low = np.fmin.reduce(places, axis=0) - 1e-9
+        high = np.fmax.reduce(places, axis=0) + 1e-9
+        reach = (corners[..., :2].max(axis=1) >= low) & (corners[..., :2].min(axis=1) <= high)
+        corners = corners[reach.all(axis=1)]
+    a, b, c = np.moveaxis(corners, 1, 0)
     normal_z = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     upward = normal_z > 0.0
     a, b, c, normal_z = a[upward], b[upward], c[upward], normal_z[upward]

@@ -18,6 +18,8 @@ from slbench.scene import SceneObject
 #: Azimuth and elevation of the view: the object's x axis stays horizontal to the right.
 _AZIMUTH, _ELEVATION = np.deg2rad(-70.0), np.deg2rad(42.0)
 _BACKGROUND = 0.95
+#: Parts of targets that are shown dark where no material is asked for.
+_DARK_PARTS = ("dots", "black")
 
 
 def shade(
@@ -49,9 +51,11 @@ def shade(
         Across the line of sight.
     """
     register()
-    item = SceneObject(
-        artefact, Pose(), material or Material("diffuse", 0.6), dict(materials or {})
-    )
+    chosen = dict(materials or {})
+    if material is None:
+        dark = {part: Material("diffuse", 0.1) for part in _DARK_PARTS if part in artefact.parts}
+        chosen = dark | chosen
+    item = SceneObject(artefact, Pose(), material or Material("diffuse", 0.6), chosen)
     low, high = artefact.mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low) / 2.0)
     toward = np.array(

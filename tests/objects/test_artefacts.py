@@ -319,7 +319,7 @@ step_1_height_mm = 1.0
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('kind = "step_block"', 'kind = "brick"', "a.toml: kind: expected one of plane"),
+        ('kind = "step_block"', 'kind = "cube"', "a.toml: kind: expected one of plane"),
         ('kind = "step_block"', "kind = 3", "a.toml: kind: "),
         ('kind = "step_block"', "", "a.toml: kind: "),
         ("source", "sauce", "a.toml: expected one of the keys .*'sauce'"),
