@@ -89,7 +89,7 @@ PRESETS: dict[str, Material] = {
     "chrome": Material(
         "rough_conductor",
         1.0,
-        0.1,
+        0.03,
         3.18,
         3.33,
         source=_TRANSITION_METALS + "chromium; roughness: typical of a sputtered film",

@@ -132,9 +132,7 @@ KINDS: dict[str, ArtefactKind] = {
     "calibration_grid": ArtefactKind(
         CalibrationGridParameters, build_calibration_grid, measure_calibration_grid
     ),
-    "chequerboard": ArtefactKind(
-        ChequerboardParameters, build_chequerboard, measure_chequerboard
-    ),
+    "chequerboard": ArtefactKind(ChequerboardParameters, build_chequerboard, measure_chequerboard),
     "circle_grid": ArtefactKind(CircleGridParameters, build_circle_grid, measure_circle_grid),
     "coin": ArtefactKind(CoinParameters, build_coin, measure_coin),
     "micro_lens": ArtefactKind(MicroLensParameters, build_micro_lens, measure_micro_lens),

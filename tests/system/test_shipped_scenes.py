@@ -1,0 +1,110 @@
+"""Every shipped scene loads, previews in seconds and scores."""
+
+import numpy as np
+import pytest
+
+from slbench import resources
+from slbench.errors import InputError
+from slbench.scan import scan
+from slbench.scenefile import load_scene
+
+SCENES = resources.names("scenes")
+#: The scenes of the thesis's experiments (issue: macro ch. 6 and 7, micro ch. 8).
+THESIS = {
+    "ch6-brick",
+    "ch6-propeller",
+    "ch6-gear",
+    "ch7-step-block",
+    "ch7-propeller",
+    "ch7-gear",
+    "ch7-engine-block",
+    "ch8-coin-3",
+    "ch8-coin-n",
+    "ch8-watch-gear",
+    "ch8-grid",
+    "ch8-plane",
+}
+
+
+def test_the_thesis_scenes_are_shipped():
+    assert set(SCENES) >= THESIS | {"step-block", "plane", "sphere"}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_scene(name):
+    scene = load_scene(name)
+    assert scene.name == name
+    preview = load_scene(name, preview=True)
+    assert preview.rig.camera.width <= 320
+    result = scan(preview, seed=1)
+    # Every scene is lit, seen and measured: nearly all lit pixels have a point...
+    assert result.truth.lit.sum() > 10_000
+    assert result.score.completeness > 0.95
+    # ... and on smooth surface the middle half of them is right to three times what noise and
+    # the renderer's floor (in panel pixels, brought to mm by the sensitivity) predict.
+    per_px = np.median(np.linalg.norm(result.cloud.sensitivity[:, 0], axis=-1))
+    expected = np.hypot(result.score.predicted_sigma_mm, result.floor_rms_px * per_px)
+    assert result.score.median_abs_mm < 3.0 * expected
+
+
+def test_micro_hardware_is_the_thesis_one():
+    rig = load_scene("ch8-plane").rig
+    assert (rig.camera.width, rig.camera.height, rig.camera.pitch_mm[0]) == (2048, 2048, 5.5e-3)
+    assert (rig.projector.width, rig.projector.height) == (1024, 768)
+    assert rig.projector.pitch_mm[0] == pytest.approx(10.8e-3)
+    # Working distance 20 mm, numerical aperture 0.04: to the digits that the file gives.
+    for device, distance in ((rig.camera, rig.camera_distance), (rig.projector, 20.0)):
+        assert distance == pytest.approx(20.0, abs=1e-5)
+        aperture = np.sin(np.arctan(device.lens.aperture_radius_mm / distance))
+        assert aperture == pytest.approx(0.04, abs=1e-4)
+    assert rig.volume_mm == (0.5, 0.5, 0.5)
+
+
+def test_a_preview_sees_the_same_scene():
+    scene, preview = load_scene("step-block"), load_scene("step-block", preview=True)
+    points = np.random.default_rng(0).uniform(-20, 20, (100, 3))
+    fine, coarse = scene.rig.camera.project(points), preview.rig.camera.project(points)
+    divisor = scene.rig.camera.width / preview.rig.camera.width
+    np.testing.assert_allclose(coarse, (fine + 0.5) / divisor - 0.5, atol=1e-9)
+
+
+class TestExtends:
+    def write(self, tmp_path, name, text):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    def test_tables_are_merged_and_lists_replaced(self, tmp_path):
+        path = self.write(
+            tmp_path,
+            "mine.toml",
+            'extends = "step-block"\nname = "mine"\n[camera]\nf_number = 8.0\n'
+            '[[objects]]\nartefact = "plane"\n',
+        )
+        base, mine = load_scene("step-block"), load_scene(path)
+        assert (
+            mine.rig.camera.lens.aperture_radius_mm == base.rig.camera.lens.aperture_radius_mm / 2
+        )
+        assert mine.rig.camera.pitch_mm == base.rig.camera.pitch_mm
+        assert [item.artefact.name for item in mine.objects] == ["plane"]
+        assert mine.specification["camera"]["f_number"] == 8.0
+
+    def test_a_chain_of_files(self, tmp_path):
+        self.write(tmp_path, "a.toml", 'extends = "plane"\nname = "a"\n[render]\nsamples = 9\n')
+        b = self.write(tmp_path, "b.toml", 'extends = "a.toml"\nname = "b"\n')
+        assert load_scene(b).samples == 9
+
+    @pytest.mark.parametrize(
+        ("text", "line"),
+        [
+            ('extends = "b.toml"\nname = "a"\n', "b.toml"),
+            ('extends = "a.toml"\nname = "a"\n', "extends: expected a chain of scenes"),
+            ('extends = "../a.toml"\nname = "a"\n', "relative path inside"),
+            ("extends = 3\nname = 'a'\n", "extends: expected"),
+            ('extends = "no-such-scene"\nname = "a"\n', "extends: expected a path"),
+        ],
+    )
+    def test_bad_chains(self, tmp_path, text, line):
+        path = self.write(tmp_path, "a.toml", text)
+        with pytest.raises(InputError, match=line):
+            load_scene(path)
