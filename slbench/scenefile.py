@@ -37,7 +37,7 @@ Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
 Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 
 
-class _Optics(Parameters):
+class Optics(Parameters):
     """What camera and projector have in common."""
 
     resolution_px: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
@@ -55,7 +55,7 @@ class _Optics(Parameters):
     body_mm: tuple[Positive, Positive, Positive] | None = None
 
     @model_validator(mode="after")
-    def _one_lens(self) -> _Optics:
+    def _one_lens(self) -> Optics:
         if (self.focal_length_mm is None) == (self.magnification is None):
             raise ValueError(
                 "focal_length_mm (perspective) or magnification (telecentric), one of them"
@@ -108,7 +108,7 @@ class _Detector(Parameters):
     seed: int | None = None
 
 
-class _Projector(_Optics):
+class ProjectorOptics(Optics):
     flux_w: Positive = 1.0
     bit_depth: Annotated[int, Field(ge=0, le=16)] = 8
     gamma: Positive = 1.0
@@ -220,8 +220,8 @@ class _SceneFile(Parameters):
     # The name becomes a folder's.
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
     description: str = ""
-    camera: _Optics | None = None
-    projector: _Projector | None = None
+    camera: Optics | None = None
+    projector: ProjectorOptics | None = None
     detector: _Detector = _Detector()
     rig: _Rig
     objects: Annotated[tuple[_Object, ...], Field(min_length=1)]
@@ -231,6 +231,8 @@ class _SceneFile(Parameters):
     patterns: _Patterns = _Patterns()
     render: _Render = _Render()
     preview: _Preview = _Preview()
+    # What the rig design needs of the hardware (slbench.design.hardware); a scan does not.
+    design: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _devices(self) -> _SceneFile:
@@ -262,7 +264,7 @@ def load_scene(name_or_path: str | Path, *, preview: bool = False) -> Scene:
         Naming the file and key of the first thing that cannot be used.
     """
     path = resources.find("scenes", name_or_path)
-    content = _read(path)
+    content = read_merged(path)
     file = validated(_SceneFile, content, path.name, separator=": ")
     try:
         scene = _build(file, path, content)
@@ -276,7 +278,7 @@ def load_scene(name_or_path: str | Path, *, preview: bool = False) -> Scene:
     return scene.coarser(divisor, file.preview.samples)
 
 
-def _read(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+def read_merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read a scene file, merged into what it extends."""
     content = read_toml(path)
     base = content.pop("extends", None)
@@ -285,14 +287,17 @@ def _read(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     where = f"{path.name}: extends"
     if not isinstance(base, str):
         raise InputError(where, "a scene file beside it or the name of a shipped scene", repr(base))
-    if base.endswith(".toml"):
-        parent = resources.inside(path.parent, base)
-    else:
-        parent = resources.find("scenes", base)
+    try:
+        if base.endswith(".toml"):
+            parent = resources.inside(path.parent, base)
+        else:
+            parent = resources.find("scenes", base)
+    except InputError as error:
+        raise InputError(where, error.expected, error.got) from None
     seen = (*seen, path.resolve())
     if parent.resolve() in seen:
         raise InputError(where, "a chain of scenes with an end", f"{base}, which comes again")
-    return _merged(_read(parent, seen), content)
+    return _merged(read_merged(parent, seen), content)
 
 
 def _merged(base: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:

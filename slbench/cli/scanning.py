@@ -55,10 +55,11 @@ def scan(
     if patterns is not None or steps is not None or axes is not None:
         given: dict[str, Any] = {"sequence": "1,10,50", "shifts": 3, "axes": "u"}
         given |= loaded.specification.get("patterns", {})
-        if steps is not None and "@" in (patterns or given["sequence"]):
-            raise InputError("--steps", "no shifts (@) in the patterns too", patterns)
+        text = given["sequence"] if patterns is None else patterns
+        if steps is not None and "@" in text:
+            raise InputError("--steps", "no shifts (@) in the patterns too", text)
         loaded = loaded.with_patterns(
-            patterns or given["sequence"], steps or given["shifts"], axes or given["axes"]
+            text, steps or given["shifts"], given["axes"] if axes is None else axes
         )
     folder = out or Path("out") / loaded.name
     if folder.exists() and not folder.is_dir():
