@@ -348,6 +348,8 @@ def _rig(file: _SceneFile, folder: Path) -> Rig:
             z_ref, w, h, length, float(np.deg2rad(alpha)), float(np.deg2rad(beta))
         )
         poses = list(design.poses())
+        if poses[0].position[2] <= 0:
+            raise InputError("rig.l_mm", "a camera in front of the reference plane", length)
     # In focus where the axis comes closest to the origin, unless the file says otherwise.
     camera_focus, projector_focus = (float(-pose.position @ pose.rotation[:, 2]) for pose in poses)
     for name, distance in (("camera", camera_focus), ("projector", projector_focus)):

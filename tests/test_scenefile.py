@@ -508,3 +508,10 @@ def test_a_file_that_is_no_text_is_refused(tmp_path):
 def test_an_unknown_name_lists_the_known_ones():
     with pytest.raises(InputError, match=r"plane, sphere, step-block.*got 'cube'"):
         load_scene("cube")
+
+
+def test_a_camera_below_the_reference_plane_is_refused(tmp_path):
+    path = tmp_path / "below.toml"
+    path.write_text('extends = "plane"\nname = "below"\n[rig]\nl_mm = 800.0\n')
+    with pytest.raises(InputError, match=r"below.toml: rig.l_mm: expected a camera in front"):
+        load_scene(path)

@@ -187,6 +187,8 @@ def export(
     from slbench.render.translate import export_xml
     from slbench.scenefile import load_scene
 
+    if path.suffix.lower() != ".xml":
+        raise InputError("path", "a name that ends in .xml", path)
     loaded = load_scene(scene)
     if pinhole:
         projector = loaded.rig.projector

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.errors import InputError
-from slbench.io import atomic_path, write_exr
+from slbench.io import atomic_folder, write_exr
 from slbench.materials import Material
 from slbench.render.mitsuba import dr, mi
 from slbench.render.optics import properties_from_device
@@ -288,13 +288,12 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
                 "a device that Mitsuba's stock plugins can express",
                 " and ".join(reasons),
             )
-    target = Path(path)
-    panel_path = target.with_name(f"{target.stem}-panel.exr")
-    write_exr(panel_path, {"Y": _picture(scene, pattern)})
-    written = [target, panel_path]
+    target, panel = Path(path), _picture(scene, pattern)
+    panel_name = f"{target.stem}-panel.exr"
+    names = [target.name, panel_name]
     picture = {
         "type": "bitmap",
-        "filename": panel_path.name,
+        "filename": panel_name,
         "raw": True,
         "filter_type": "nearest",
         "wrap_mode": "clamp",
@@ -305,20 +304,20 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
         "camera": camera_dict(scene, scene.samples),
         "projector": projector_dict(scene, picture),
     }
-    for shape in shapes(scene.objects):
-        mesh_path = target.with_name(f"{target.stem}-{shape.name}.ply")
-        with atomic_path(mesh_path) as temporary:
-            shape.mesh().write_ply(str(temporary))
-        written.append(mesh_path)
-        content[shape.name] = {
-            "type": "ply",
-            "filename": mesh_path.name,
-            "face_normals": True,
-            "bsdf": bsdf_dict(shape.material),
-        }
     if scene.light.ambient_w_per_mm2 > 0:
         content["ambient"] = _ambient(scene)
-    with atomic_path(target) as temporary:
+    with atomic_folder(target.parent) as temporary:
+        write_exr(temporary / panel_name, {"Y": panel})
+        for shape in shapes(scene.objects):
+            mesh_name = f"{target.stem}-{shape.name}.ply"
+            shape.mesh().write_ply(str(temporary / mesh_name))
+            names.append(mesh_name)
+            content[shape.name] = {
+                "type": "ply",
+                "filename": mesh_name,
+                "face_normals": True,
+                "bsdf": bsdf_dict(shape.material),
+            }
         state = mi.parser.parse_dict(mi.parser.ParserConfig(mi.variant()), content)
-        mi.parser.write_file(state, str(temporary), add_section_headers=True)
-    return written
+        mi.parser.write_file(state, str(temporary / target.name), add_section_headers=True)
+    return [target.with_name(name) for name in names]
