@@ -29,7 +29,8 @@ def triangulated(
     Parameters
     ----------
     rings_mm : list of (k, 2) ndarray of float
-        All outlines, with no more than a spacing between neighbouring points.
+        All outlines, with no more than a spacing between neighbouring points; points on
+        lines inside a region, if any, come as a ring as well.
     regions : list of shapely geometry
         Disjoint areas between them.
     spacing_mm : float
