@@ -109,6 +109,8 @@ class _Detector(Parameters):
 
 
 class ProjectorOptics(Optics):
+    """The optical keys of a projector, and its light."""
+
     flux_w: Positive = 1.0
     bit_depth: Annotated[int, Field(ge=0, le=16)] = 8
     gamma: Positive = 1.0
