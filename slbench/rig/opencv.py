@@ -6,7 +6,8 @@ projector; ``R``, ``T`` from camera to projector coordinates (the convention of
 coordinates (default: identity, the world is the camera's frame).  OpenCV has no word for
 apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers),
 ``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
-``flux_w``, ``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.
+``body_mm_*`` (3 numbers), ``flux_w``, ``bit_depth_projector``, ``gamma_projector``,
+``volume_mm``.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ _KEYS = {
     "bit_depth": "bit_depth_{}",
     "gamma": "gamma_{}",
     "volume": "volume_mm",
+    "body": "body_mm_{}",
 }
 
 
@@ -75,6 +77,8 @@ def write_rig(path: str | Path, rig: Rig) -> None:
         if np.isfinite(device.lens.focus_distance_mm):
             values[f"focus_distance_mm_{name}"] = float(device.lens.focus_distance_mm)
         values[f"lens_{name}"] = device.lens.kind
+        if device.body_mm is not None:
+            values[f"body_mm_{name}"] = np.array(device.body_mm, dtype=np.float64)
         values[f"natural_vignetting_{name}"] = int(device.lens.natural_vignetting)
     values |= {
         "R": relative,
@@ -165,7 +169,11 @@ def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
         raise InputError(f"{values.path}: natural_vignetting_{name}", "0 or 1", vignetting)
     with _blaming_the_file(values.path, name):
         lens = Lens(float(focal), aperture, focus, kind, bool(vignetting))  # type: ignore[arg-type]
+    body = None
+    if f"body_mm_{name}" in values.values:
+        body = tuple(float(size) for size in values.array(f"body_mm_{name}", (3,)))
     return {
+        "body_mm": body,
         "width": int(width),
         "height": int(height),
         "pitch_mm": (float(pitch[0]), float(pitch[1])),

@@ -24,6 +24,7 @@ PROJECTOR = Projector(
     flux_w=2.5,
     bit_depth=10,
     gamma=2.2,
+    body_mm=(200.0, 55.0, 115.0),
 )
 RIG = Rig.from_design(DESIGN, CAMERA, PROJECTOR, (50.0, 40.0, 20.0))
 TELECENTRIC = Rig(
@@ -182,6 +183,8 @@ BAD = [
     ("aperture_radius_mm_projector", "wide"),
     ("focus_distance_mm_camera", 0.0),
     ("focus_distance_mm_projector", -3.0),
+    ("body_mm_camera", np.array([50.0, 40.0])),
+    ("body_mm_projector", np.array([50.0, -40.0, 70.0])),
     ("lens_camera", "fisheye"),
     ("natural_vignetting_camera", "maybe"),
     ("natural_vignetting_projector", 7),
