@@ -15,11 +15,14 @@ PROVENANCE_LIBRARIES = (
     "drjit",
     "manifold3d",
     "mitsuba",
+    "moocore",
     "numba",
     "numpy",
     "opencv-python-headless",
     "scikit-image",
+    "scikit-learn",
     "scipy",
+    "shapely",
     "trimesh",
 )
 
