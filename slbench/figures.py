@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,8 @@ from scipy.spatial import ConvexHull
 from slbench.io import atomic_path
 from slbench.objects import Artefact
 from slbench.patterns import Fringes, relative_phase
-from slbench.scene import Scene
+from slbench.rig import Rig
+from slbench.scene import Scene, SceneObject
 from slbench.score import point_errors
 
 if TYPE_CHECKING:
@@ -186,7 +188,7 @@ def scene_picture(scene: Scene, view: NDArray[np.float32], path: str | Path) -> 
     FigureCanvasAgg(figure)
     front, side, picture = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.2])
     for axes, across, title in ((front, 0, "front: x, z"), (side, 1, "side: y, z")):
-        _draw_rig(axes, scene, across)
+        draw_rig(axes, scene.rig, scene.objects, across)
         axes.set_title(title)
     figure.legend(*front.get_legend_handles_labels(), fontsize=9, loc="outside lower left", ncols=3)
     bright = max(float(np.percentile(view, 99.5)), 1e-30)
@@ -200,9 +202,18 @@ def scene_picture(scene: Scene, view: NDArray[np.float32], path: str | Path) -> 
         figure.savefig(temporary, format="png")
 
 
-def _draw_rig(axes: Any, scene: Scene, across: int) -> None:
-    """Draw devices, frusta, volume and objects as seen along one horizontal world axis."""
-    rig = scene.rig
+def draw_rig(axes: Any, rig: Rig, objects: Sequence[SceneObject], across: int) -> None:
+    """Draw devices, frusta, volume and objects as seen along one horizontal world axis.
+
+    Parameters
+    ----------
+    axes : matplotlib axes
+    rig : Rig
+    objects : sequence of SceneObject
+        Drawn as their bounding boxes.
+    across : {0, 1}
+        World axis to the right: x or y; z is up.
+    """
     for device, colour, name in ((rig.camera, "C0", "camera"), (rig.projector, "C1", "projector")):
         centre = device.pose.position
         distance = float(np.linalg.norm(centre))
@@ -211,7 +222,7 @@ def _draw_rig(axes: Any, scene: Scene, across: int) -> None:
         _outline(axes, device.body_corners, across, colour, 0.6)
         axes.plot(centre[across], centre[2], "o", color=colour, markersize=4, label=name)
         axes.plot([centre[across], 0.0], [centre[2], 0.0], color=colour, linewidth=0.7)
-    for item in scene.objects:
+    for item in objects:
         low, high = item.artefact.mesh.bounds
         corners = np.array(np.meshgrid(*np.stack((low, high), axis=1))).reshape(3, -1).T
         _outline(axes, item.pose.to_world(corners), across, "0.3", 0.5)

@@ -1,0 +1,157 @@
+"""``slbench design rig`` and ``design evaluate``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from slbench import resources
+from slbench.cli.common import Json, Seed, new_app, print_json, print_table, progress
+
+app = new_app("Design of structured-light systems: rigs.")
+
+HardwareName = Annotated[
+    str, typer.Argument(help="A hardware file, or the name of a shipped one: hardware/macro-ch6.")
+]
+
+
+@app.command(
+    epilog="Example: slbench design evaluate hardware/macro-ch6 scenes/hardware/table4.csv --json"
+)
+def evaluate(
+    hardware: HardwareName,
+    configurations: Annotated[Path, typer.Argument(help="CSV of z_ref_mm, w_mm, ... beta_p_deg.")],
+    full: Annotated[
+        bool, typer.Option("--full", help="Every camera pixel instead of the thesis's sample.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Predict error, coverage and constraints of rig configurations."""
+    from slbench.design.evaluate import THESIS_STRIDE
+    from slbench.design.evaluate import evaluate as run
+    from slbench.design.hardware import load_hardware, read_configurations
+
+    rows = read_configurations(configurations)
+    result = run(load_hardware(hardware), rows, stride=(1, 1) if full else THESIS_STRIDE)
+    if as_json:
+        print_json(result.rows())
+        return
+    table = Table(title=f"{len(rows)} configurations")
+    for name in ("", "μ / mm", "σ / mm", "η", "points", "d / mm", "angle / °", "feasible"):
+        table.add_column(name, justify="right")
+    for i, row in enumerate(result.rows()):
+        failed = [name for name, margin in row["margins"].items() if not margin > 0]
+        table.add_row(
+            str(i + 1),
+            f"{row['mu_mm']:.4f}",
+            f"{row['sigma_mm']:.4f}",
+            f"{row['eta']:.3f}",
+            str(row["n_points"]),
+            f"{row['dispersion_mm']:.2f}",
+            f"{row['angle_deg']:.1f}",
+            "yes" if row["feasible"] else f"no: {', '.join(failed)}",
+        )
+    print_table(table)
+
+
+@app.command(epilog="Example: slbench design rig hardware/macro-ch6 --out out/rig")
+def rig(
+    hardware: HardwareName,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/rig"),
+    evaluations: Annotated[
+        int, typer.Option(min=1, help="Budget of evaluated configurations.")
+    ] = 20_000,
+    objectives: Annotated[
+        str, typer.Option(help="Some of error, coverage, dispersion.")
+    ] = "error,coverage,dispersion",
+    micro: Annotated[
+        bool, typer.Option("--micro", help="Maximise the measurement volume instead.")
+    ] = False,
+    max_footprint_mm: Annotated[
+        float | None, typer.Option(help="Largest horizontal extent of bodies and volume.")
+    ] = None,
+    min_angle_deg: Annotated[
+        float | None, typer.Option(help="Smallest triangulation angle.")
+    ] = None,
+    start: Annotated[
+        Path | None, typer.Option(help="front.npz to go on from, or a CSV of configurations.")
+    ] = None,
+    pick: Annotated[
+        int | None, typer.Option(min=0, help="Cluster for the scene, not the recommended one.")
+    ] = None,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Search for the best rigs of given hardware; report them, and a scene to scan."""
+    from slbench.design.evaluate import evaluate as run
+    from slbench.design.front import Front
+    from slbench.design.hardware import load_hardware, read_configurations
+    from slbench.design.optimise import optimise
+    from slbench.design.report import write_design
+    from slbench.scenefile import read_merged
+
+    loaded = load_hardware(hardware)
+    path = resources.find("scenes", hardware)
+    begin: Any = None
+    if start is not None:
+        begin = Front.load(start) if start.suffix == ".npz" else read_configurations(start)
+    with progress(as_json) as report:
+        design = optimise(
+            loaded,
+            objectives=[name.strip() for name in objectives.split(",")],
+            micro=micro,
+            max_evaluations=evaluations,
+            seed=seed,
+            start=begin,
+            max_footprint_mm=max_footprint_mm,
+            min_angle_deg=min_angle_deg,
+            on_progress=_reporter(report, evaluations) if report else None,
+        )
+    if pick is not None:
+        design.member(pick)  # refuse a wrong number before anything is written
+    # Configurations beside the hardware, as the thesis's table 4, are marked for comparison.
+    table = path.with_name("table4.csv")
+    marked = run(loaded, read_configurations(table)) if table.is_file() and not micro else None
+    parameters = {
+        "hardware": str(path),
+        "objectives": design.objectives,
+        "evaluations": design.front.evaluations,
+        "max_footprint_mm": max_footprint_mm,
+        "min_angle_deg": min_angle_deg,
+    }
+    write_design(design, out, read_merged(path), parameters, seed, pick=pick, marked=marked)
+    member = design.member(pick)
+    best = design.evaluation.rows()[member]
+    variables = np.append(design.front.x[member, :4], np.rad2deg(design.front.x[member, 4:]))
+    summary = {
+        "front": len(design.front),
+        "clusters": len(design.clusters),
+        "evaluations": design.front.evaluations,
+        "stopped": design.front.stopped,
+        "recommended": design.recommended,
+        "configuration": variables.tolist(),
+        **best,
+        "seconds": design.seconds,
+        "out": str(out),
+    }
+    if as_json:
+        print_json(summary)
+        return
+    print(
+        f"{summary['front']} nondominated rigs in {summary['clusters']} clusters after "
+        f"{summary['evaluations']} evaluations ({summary['stopped']}), {design.seconds:.1f} s"
+    )
+    names = ("z_ref", "w", "h", "l", "alpha_P", "beta_P")
+    print("rig: " + ", ".join(f"{n} {v:.5g}" for n, v in zip(names, variables, strict=True)))
+    print(f"Written to {out}: scan it with slbench scan {out / 'scene.toml'}")
+
+
+def _reporter(report: Any, budget: int) -> Any:
+    def on_progress(front: Any) -> None:
+        report("search", front.evaluations / budget)
+
+    return on_progress
