@@ -68,9 +68,6 @@ def rig(
     objectives: Annotated[
         str, typer.Option(help="Some of error, coverage, dispersion.")
     ] = "error,coverage,dispersion",
-    micro: Annotated[
-        bool, typer.Option("--micro", help="Maximise the measurement volume instead.")
-    ] = False,
     max_footprint_mm: Annotated[
         float | None, typer.Option(help="Largest horizontal extent of bodies and volume.")
     ] = None,
@@ -103,7 +100,6 @@ def rig(
         design = optimise(
             loaded,
             objectives=[name.strip() for name in objectives.split(",")],
-            micro=micro,
             max_evaluations=evaluations,
             seed=seed,
             start=begin,
@@ -115,7 +111,7 @@ def rig(
         design.member(pick)  # refuse a wrong number before anything is written
     # Configurations beside the hardware, as the thesis's table 4, are marked for comparison.
     table = path.with_name("table4.csv")
-    marked = run(loaded, read_configurations(table)) if table.is_file() and not micro else None
+    marked = run(loaded, read_configurations(table)) if table.is_file() else None
     parameters = {
         "hardware": str(path),
         "objectives": design.objectives,
@@ -148,6 +144,51 @@ def rig(
     names = ("z_ref", "w", "h", "l", "alpha_P", "beta_P")
     print("rig: " + ", ".join(f"{n} {v:.5g}" for n, v in zip(names, variables, strict=True)))
     print(f"Written to {out}: scan it with slbench scan {out / 'scene.toml'}")
+
+
+@app.command(epilog="Example: slbench design verify hardware/macro-ch6 scenes/hardware/table4.csv")
+def verify(
+    hardware: HardwareName,
+    configurations: Annotated[Path, typer.Argument(help="CSV of z_ref_mm, w_mm, ... beta_p_deg.")],
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/verify"),
+    patterns: Annotated[str, typer.Option(help="Fringes of three shifts.")] = "1,5",
+    spp: Annotated[int, typer.Option(min=1, max=65536, help="Samples a pixel.")] = 16,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Scan a plate with each rig and compare the errors with the predicted ones."""
+    from slbench.design.hardware import load_hardware, read_configurations
+    from slbench.design.verify import draw
+    from slbench.design.verify import verify as run
+    from slbench.io import atomic_folder, write_json, write_provenance
+
+    rows = read_configurations(configurations)
+    with progress(as_json) as report:
+        result = run(
+            load_hardware(hardware),
+            rows,
+            patterns=patterns,
+            samples=spp,
+            seed=seed,
+            on_progress=report,
+        )
+    found = {
+        "rank_correlation": result.rank_correlation,
+        "predicted_mm": result.predicted.mu_mm,
+        "rendered_mm": result.rendered_mm,
+        "rendered_z_mm": result.rendered_z_mm,
+    }
+    with atomic_folder(out) as temporary:
+        write_json(temporary / "verify.json", found)
+        draw(result, temporary / "verify.png")
+        parameters = {"hardware": hardware, "patterns": patterns, "samples": spp}
+        write_provenance(temporary, parameters, seed)
+    if as_json:
+        print_json(found | {"out": str(out)})
+        return
+    for k, (mu, rms) in enumerate(zip(result.predicted.mu_mm, result.rendered_mm, strict=True)):
+        print(f"{k + 1:3}  predicted {1e3 * mu:7.1f} µm   rendered {1e3 * rms:7.1f} µm")
+    print(f"rank correlation {result.rank_correlation:.3f}; written to {out}")
 
 
 def _reporter(report: Any, budget: int) -> Any:

@@ -1,4 +1,4 @@
-"""The rig optimiser: search, cluster, recommend (thesis 3.2, and 5.2 for microscopes).
+"""The rig optimiser: search, cluster, recommend (thesis 3.2).
 
 Direct MultiSearch minimises the objectives of thesis eq. 20 over the six design variables,
 subject to g1..g6:
@@ -6,9 +6,6 @@ subject to g1..g6:
 * ``error``: ``mu sigma``, mean times standard deviation of the expected error, mm^2;
 * ``coverage``: ``-eta N_s``, share of the panel used times number of points;
 * ``dispersion``: ``-d``, distance between neighbouring points, mm.
-
-For a microscope (``micro``) there is one objective, ``-s``, with ``s`` the factor by which the
-measurement volume may grow inside both in-focus volumes.
 
 The front is clustered by its design variables, and each cluster's member nearest to its
 centroid represents it.  **Recommended** is the representative nearest to the ideal point, at
@@ -30,7 +27,7 @@ from scipy.stats import rankdata
 
 from slbench.design import multisearch
 from slbench.design.clustering import Clusters, cluster_front
-from slbench.design.constraints import diagnose, margins, volume_scale
+from slbench.design.constraints import diagnose, margins
 from slbench.design.evaluate import Evaluation, evaluate
 from slbench.design.front import Front
 from slbench.design.hardware import Hardware, Placement
@@ -87,7 +84,6 @@ def optimise(
     hardware: Hardware,
     *,
     objectives: Sequence[str] = OBJECTIVES,
-    micro: bool = False,
     max_evaluations: int = 20_000,
     seed: int = 0,
     start: Front | ArrayLike | None = None,
@@ -102,8 +98,6 @@ def optimise(
     hardware : Hardware
     objectives : sequence of {"error", "coverage", "dispersion"}
         Which to minimise.
-    micro : bool
-        Maximise the measurement volume instead (thesis 5.2).
     max_evaluations : int
         Budget of evaluated configurations.
     seed : int
@@ -127,18 +121,16 @@ def optimise(
         If nothing feasible is found, with the constraint that fails, by how much, for the
         least infeasible configuration; or an argument is not as above.
     """
-    names = ("volume",) if micro else tuple(objectives)
-    unknown = [name for name in names if name not in (*OBJECTIVES, "volume")]
+    names = tuple(objectives)
+    unknown = [name for name in names if name not in OBJECTIVES]
     if unknown or not names or len(set(names)) != len(names):
         raise InputError("objectives", f"some of {', '.join(OBJECTIVES)}", ", ".join(names))
     for label, value in (("footprint", max_footprint_mm), ("angle", min_angle_deg)):
         if value is not None and not 0 < value < np.inf:
             raise InputError(f"constraint on {label}", "a positive number", value)
-    columns = [OBJECTIVES.index(name) for name in names if name in OBJECTIVES]
+    columns = [OBJECTIVES.index(name) for name in names]
 
     def values(x: Array) -> Array:
-        if micro:
-            return -volume_scale(hardware, x)[:, None]
         return evaluate(hardware, x).objectives[:, columns]
 
     def feasible(x: Array) -> NDArray[np.bool_]:

@@ -37,7 +37,6 @@ _LABELS = {
     "error": "error: μ σ / mm²",
     "coverage": "coverage: −η N",
     "dispersion": "dispersion: −d / mm",
-    "volume": "volume: −growth",
 }
 
 
@@ -129,7 +128,7 @@ def _draw_front(design: RigDesign, path: Path, marked: Evaluation | None) -> Non
         for k, member in enumerate(design.clusters.representatives):
             axes.annotate(str(k), f[member, [i, j]], fontsize=9, weight="bold")
         axes.plot(*f[chosen, [i, j]], "k*", markersize=14, fillstyle="none", label="recommended")
-        if marked is not None and set(design.objectives) <= set(OBJECTIVES):
+        if marked is not None:
             columns = [OBJECTIVES.index(design.objectives[k]) for k in (i, j)]
             other = marked.objectives[:, columns]
             axes.plot(*other.T, "kx", markersize=6, label="for comparison")
