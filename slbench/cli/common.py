@@ -37,7 +37,7 @@ def new_app(help_text: str, name: str | None = None) -> typer.Typer:
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Any]:
-    """Yield a callback (stage, fraction) that draws a bar on a terminal and is quiet elsewhere."""
+    """Yield a callback (stage, fraction, note) that draws a bar on a terminal, or None."""
     if quiet or not _messages.is_terminal:
         yield None
         return
@@ -45,10 +45,10 @@ def progress(quiet: bool) -> Iterator[Any]:
     with Progress(*columns, console=_messages, transient=True) as bars:
         tasks: dict[str, Any] = {}
 
-        def report(stage: str, fraction: float) -> None:
+        def report(stage: str, fraction: float, note: str = "") -> None:
             if stage not in tasks:
                 tasks[stage] = bars.add_task(stage, total=1.0)
-            bars.update(tasks[stage], completed=fraction)
+            bars.update(tasks[stage], completed=fraction, description=f"{stage} {note}".strip())
 
         yield report
 

@@ -68,6 +68,9 @@ def rig(
     objectives: Annotated[
         str, typer.Option(help="Some of error, coverage, dispersion.")
     ] = "error,coverage,dispersion",
+    micro: Annotated[
+        bool, typer.Option("--micro", help="Maximise the measurement volume instead (microscopes).")
+    ] = False,
     max_footprint_mm: Annotated[
         float | None, typer.Option(help="Largest horizontal extent of bodies and volume.")
     ] = None,
@@ -89,6 +92,7 @@ def rig(
     from slbench.design.hardware import load_hardware, read_configurations
     from slbench.design.optimise import optimise
     from slbench.design.report import write_design
+    from slbench.design.volume import largest_box
     from slbench.scenefile import read_merged
 
     loaded = load_hardware(hardware)
@@ -100,6 +104,7 @@ def rig(
         design = optimise(
             loaded,
             objectives=[name.strip() for name in objectives.split(",")],
+            micro=micro,
             max_evaluations=evaluations,
             seed=seed,
             start=begin,
@@ -111,7 +116,7 @@ def rig(
         design.member(pick)  # refuse a wrong number before anything is written
     # Configurations beside the hardware, as the thesis's table 4, are marked for comparison.
     table = path.with_name("table4.csv")
-    marked = run(loaded, read_configurations(table)) if table.is_file() else None
+    marked = run(loaded, read_configurations(table)) if table.is_file() and not micro else None
     parameters = {
         "hardware": str(path),
         "objectives": design.objectives,
@@ -123,7 +128,7 @@ def rig(
     member = design.member(pick)
     best = design.evaluation.rows()[member]
     variables = np.append(design.front.x[member, :4], np.rad2deg(design.front.x[member, 4:]))
-    summary = {
+    summary: dict[str, Any] = {
         "front": len(design.front),
         "clusters": len(design.clusters),
         "evaluations": design.front.evaluations,
@@ -134,6 +139,8 @@ def rig(
         "seconds": design.seconds,
         "out": str(out),
     }
+    if micro:
+        summary["box_mm"] = largest_box(loaded, design.front.x[[member]])[0]
     if as_json:
         print_json(summary)
         return
@@ -192,7 +199,31 @@ def verify(
 
 
 def _reporter(report: Any, budget: int) -> Any:
+    """Return a callback that shows how many rigs the front has, and its hypervolume.
+
+    The reference point is a tenth of its extent beyond the worst of the first front that has
+    one; the hypervolume is shown relative to that front's.
+    """
+    from slbench.design.front import hypervolume
+
+    first: dict[str, Any] = {}
+    batches = 0
+
     def on_progress(front: Any) -> None:
-        report("search", front.evaluations / budget)
+        nonlocal batches
+        batches += 1
+        if len(front) < 2 or batches % _SHOWN_EVERY:
+            return
+        if not first:
+            first["reference"] = front.f.max(axis=0) + 0.1 * np.ptp(front.f, axis=0) + 1e-12
+            first["volume"] = hypervolume(front.f, first["reference"])
+        inside = front.f[np.all(front.f < first["reference"], axis=1)]
+        growth = hypervolume(inside, first["reference"]) / first["volume"]
+        note = f"({len(front)} rigs, hypervolume x {growth:.2f})"
+        report("search", front.evaluations / budget, note)
 
     return on_progress
+
+
+#: Polls between two updates of the progress bar.
+_SHOWN_EVERY = 20

@@ -110,32 +110,32 @@ def explain(hardware: Hardware, configuration: ArrayLike | DesignVariables) -> l
     return [f"{PARTS[i][0]}: {PARTS[i][1]} by {-parts[i]:.4g} mm" for i in order if parts[i] <= 0]
 
 
-def volume_scale(
-    hardware: Hardware, configurations: ArrayLike | Sequence[DesignVariables]
+def focus_slacks(
+    hardware: Hardware,
+    configurations: ArrayLike | Sequence[DesignVariables],
+    points: ArrayLike,
 ) -> Array:
-    """Return by how much the measurement volume may grow (thesis 5.2).
+    """Return the signed distances of world points to the planes around both in-focus volumes.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    configurations : (n, 6) float or list of DesignVariables
+    points : (m, 3) float
+        World coordinates, mm.
 
     Returns
     -------
-    (n,) float
-        The largest factor at which the volume, all sides scaled alike, still lies inside both
-        in-focus volumes; 0 where not even the origin does.
+    (n, m, 12) float
+        mm, positive inside; for each device four sides of its view and two limits of its
+        depth of field (infinite for a pinhole).
     """
     placement = hardware.place(configurations)
-    largest = np.full(len(placement.valid), np.inf)
+    world = np.asarray(points, dtype=np.float64)
+    parts: list[Array] = []
     for device, rotation, position, distance in _devices(hardware, placement):
-        centre = _slacks(hardware, device, distance, _local(np.zeros((1, 3)), rotation, position))
-        corners = _slacks(
-            hardware, device, distance, _local(hardware.volume_corners, rotation, position)
-        )
-        for at_centre, at_corners in zip(centre, corners, strict=True):
-            # The slack of a plane is linear in the scale, from the origin to each corner.
-            with np.errstate(divide="ignore", invalid="ignore"):
-                scale = at_centre / (at_centre - at_corners)
-            limits = np.where(at_corners < at_centre, scale, np.inf)
-            largest = np.minimum(largest, np.nanmin(limits, axis=(1, 2), initial=np.inf))
-    largest[~placement.valid] = 0.0
-    return np.maximum(largest, 0.0)
+        parts += _slacks(hardware, device, distance, _local(world, rotation, position))
+    return np.concatenate(parts, axis=2)
 
 
 @dataclass(frozen=True)

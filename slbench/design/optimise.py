@@ -1,4 +1,4 @@
-"""The rig optimiser: search, cluster, recommend (thesis 3.2).
+"""The rig optimiser: search, cluster, recommend (thesis 3.2, and 5.2 for microscopes).
 
 Direct MultiSearch minimises the objectives of thesis eq. 20 over the six design variables,
 subject to g1..g6:
@@ -6,6 +6,10 @@ subject to g1..g6:
 * ``error``: ``mu sigma``, mean times standard deviation of the expected error, mm^2;
 * ``coverage``: ``-eta N_s``, share of the panel used times number of points;
 * ``dispersion``: ``-d``, distance between neighbouring points, mm.
+
+For a microscope (``micro``, thesis 5.2) there is one objective, ``volume``: minus the cube root
+of the largest box inside both in-focus volumes, mm.  It takes the place of g3, that the given
+volume be in focus.
 
 The front is clustered by its design variables, and each cluster's member nearest to its
 centroid represents it.  **Recommended** is the representative nearest to the ideal point, at
@@ -18,20 +22,25 @@ representative may be picked by its number.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import differential_evolution
 from scipy.stats import rankdata
 
 from slbench.design import multisearch
 from slbench.design.clustering import Clusters, cluster_front
-from slbench.design.constraints import diagnose, margins
+from slbench.design.constraints import CONSTRAINTS, diagnose, placed_margins
 from slbench.design.evaluate import Evaluation, evaluate
 from slbench.design.front import Front
-from slbench.design.hardware import Hardware, Placement
+from slbench.design.hardware import VARIABLES, Hardware, Placement
+from slbench.design.volume import largest_box
 from slbench.errors import InputError
+from slbench.rig import Pose
 
 Array = NDArray[np.float64]
 
@@ -75,7 +84,8 @@ class RigDesign:
             If there is no such cluster.
         """
         number = self.recommended if cluster is None else cluster
-        if not 0 <= number < len(self.clusters):
+        whole = isinstance(number, (int, np.integer)) and not isinstance(number, bool)
+        if not whole or not 0 <= number < len(self.clusters):
             raise InputError("cluster", f"0 to {len(self.clusters) - 1}", number)
         return int(self.clusters.representatives[number])
 
@@ -84,6 +94,7 @@ def optimise(
     hardware: Hardware,
     *,
     objectives: Sequence[str] = OBJECTIVES,
+    micro: bool = False,
     max_evaluations: int = 20_000,
     seed: int = 0,
     start: Front | ArrayLike | None = None,
@@ -98,11 +109,14 @@ def optimise(
     hardware : Hardware
     objectives : sequence of {"error", "coverage", "dispersion"}
         Which to minimise.
+    micro : bool
+        Maximise the measurement volume instead.
     max_evaluations : int
         Budget of evaluated configurations.
     seed : int
     start : Front or (n, 6) float, optional
-        A front to go on from, or configurations (mm, rad) to begin at.
+        A front to go on from, or configurations (mm, rad) to begin at.  A front found with
+        other hardware, objectives or constraints gives its configurations only.
     max_footprint_mm : float, optional
         Largest horizontal extent, along x and along y, of both bodies and the volume.
     min_angle_deg : float, optional
@@ -129,48 +143,98 @@ def optimise(
         if value is not None and not 0 < value < np.inf:
             raise InputError(f"constraint on {label}", "a positive number", value)
     columns = [OBJECTIVES.index(name) for name in names]
+    binding = [k for k, name in enumerate(CONSTRAINTS) if not (micro and name == "g3")]
 
     def values(x: Array) -> Array:
+        if micro:
+            return -np.cbrt(np.prod(largest_box(hardware, x), axis=1))[:, None]
         return evaluate(hardware, x).objectives[:, columns]
 
-    def feasible(x: Array) -> NDArray[np.bool_]:
-        holds = np.all(margins(hardware, x) > 0, axis=1)
+    def spare(x: Array) -> Array:
         placement = hardware.place(x)
+        parts = [placed_margins(hardware, placement)[:, binding]]
         if min_angle_deg is not None:
-            holds &= placement.angle >= np.deg2rad(min_angle_deg)
+            parts.append(np.rad2deg(placement.angle)[:, None] - min_angle_deg)
         if max_footprint_mm is not None:
-            holds &= footprint_mm(hardware, placement) <= max_footprint_mm
-        return holds
+            parts.append(max_footprint_mm - footprint_mm(hardware, placement)[:, None])
+        return np.concatenate(parts, axis=1)
+
+    def feasible(x: Array) -> NDArray[np.bool_]:
+        return np.all(spare(x) > 0, axis=1)
 
     begin = time.perf_counter()
+    if micro and start is None:
+        start = _large_volume(hardware, values, spare, seed)
     try:
-        front = multisearch.minimize(
-            values,
-            np.array(hardware.lower),
-            np.array(hardware.upper),
-            feasible,
-            max_evaluations=max_evaluations,
-            seed=seed,
-            on_progress=on_progress,
-            start=start,
-        )
+        with _one_thread():
+            if isinstance(start, Front):
+                start = _usable(start, values, feasible)
+            front = multisearch.minimize(
+                values,
+                np.array(hardware.lower),
+                np.array(hardware.upper),
+                feasible,
+                max_evaluations=max_evaluations,
+                seed=seed,
+                on_progress=on_progress,
+                start=start,
+            )
     except InputError as error:
         if error.where != "constraints":
             raise
-        raise InputError("hardware", "a feasible configuration", diagnose(hardware)) from None
+        limits = {"footprint_mm": max_footprint_mm, "angle_deg": min_angle_deg}
+        raise _nothing_feasible(hardware, limits) from None
     if not len(front):
-        raise InputError("hardware", "a feasible configuration", diagnose(hardware))
+        raise InputError(
+            "evaluations", "enough to find a feasible configuration", f"{max_evaluations}, used up"
+        )
     seconds = time.perf_counter() - begin
     clusters = cluster_front(front, seed)
     return RigDesign(
         hardware,
-        names,
+        ("volume",) if micro else names,
         front,
         evaluate(hardware, front.x),
         clusters,
         _nearest_to_ideal(front.f, clusters),
         seconds,
     )
+
+
+def _large_volume(
+    hardware: Hardware,
+    values: Callable[[Array], Array],
+    spare: Callable[[Array], Array],
+    seed: int,
+) -> Array | None:
+    """Return a configuration of large volume to begin at, (1, 6), or None if none is feasible.
+
+    With one objective the multisearch polls around a single point, and narrow working
+    distances couple the variables so that steps along one of them lead nowhere.  Differential
+    evolution, which moves in all of them, finds the basin; the multisearch then polishes.
+    """
+
+    def cost(columns: Array) -> Array:
+        x = columns.T
+        violation = np.maximum(-np.nan_to_num(spare(x), neginf=-1e6), 0.0).sum(axis=1)
+        good = np.all(spare(x) > 0, axis=1)
+        result = np.asarray(1.0 + violation, dtype=np.float64)
+        if good.any():
+            result[good] = values(x[good])[:, 0]
+        return result
+
+    found = differential_evolution(
+        cost,
+        np.column_stack((hardware.lower, hardware.upper)),
+        rng=seed,
+        popsize=30,
+        maxiter=150,
+        tol=1e-6,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+    )
+    return np.atleast_2d(found.x) if found.fun < 0 else None
 
 
 def footprint_mm(hardware: Hardware, placement: Placement) -> Array:
@@ -181,10 +245,54 @@ def footprint_mm(hardware: Hardware, placement: Placement) -> Array:
         (hardware.camera, placement.camera_rotation, placement.camera_position),
         (hardware.projector, placement.projector_rotation, placement.projector_position),
     ):
-        corners = device.body_corners @ np.swapaxes(rotation, 1, 2) + position[:, None]
+        corners = (
+            device.posed(Pose()).body_corners @ np.swapaxes(rotation, 1, 2) + position[:, None]
+        )
         low = np.fmin(low, corners[..., :2].min(axis=1))
         high = np.fmax(high, corners[..., :2].max(axis=1))
     return np.asarray((high - low).max(axis=1), dtype=np.float64)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Evaluate on one core: a poll is a dozen configurations.
+
+    Two cores save a fifth of the time while they are idle, and cost a multiple of it, waiting
+    for each other at the end of every poll, when anything else runs.
+    """
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
+def _usable(
+    front: Front,
+    values: Callable[[Array], Array],
+    feasible: Callable[[Array], NDArray[np.bool_]],
+) -> Front | Array:
+    """Return a front to go on from; of one that does not fit this search, its configurations."""
+    if not len(front) or front.x.shape[1] != len(VARIABLES):
+        return front
+    if np.all(feasible(front.x)):
+        f = values(front.x)
+        if f.shape == front.f.shape and np.allclose(f, front.f, rtol=1e-6, atol=0.0):
+            return front
+    return front.x
+
+
+def _nothing_feasible(hardware: Hardware, limits: dict[str, float | None]) -> InputError:
+    diagnosis = diagnose(hardware)
+    given = [f"{name} {value:g}" for name, value in limits.items() if value is not None]
+    if not diagnosis.feasible or not given:
+        return InputError("hardware", "a feasible configuration", diagnosis)
+    return InputError(
+        "constraints",
+        "a feasible configuration",
+        f"none found within the limits {', '.join(given)}; without them: {diagnosis}",
+    )
 
 
 def _nearest_to_ideal(f: Array, clusters: Clusters) -> int:

@@ -37,6 +37,7 @@ _LABELS = {
     "error": "error: μ σ / mm²",
     "coverage": "coverage: −η N",
     "dispersion": "dispersion: −d / mm",
+    "volume": "volume: −edge of the equal cube / mm",
 }
 
 

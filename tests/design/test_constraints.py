@@ -18,7 +18,6 @@ from slbench.design.constraints import (
     diagnose,
     explain,
     margins,
-    volume_scale,
 )
 from slbench.design.convex import coverage, separation
 from slbench.design.hardware import load_hardware, read_configurations
@@ -218,14 +217,6 @@ def test_the_focus_margin_is_a_distance():
         assert not np.all(in_focus(MACRO, rig, cloud.reshape(-1, 3)))
 
 
-def test_volume_scale_fills_the_region_in_focus():
-    scale = volume_scale(MACRO, TABLE_4)
-    for row, factor in zip(TABLE_4, scale, strict=True):
-        volume = tuple(factor * size for size in MACRO.volume_mm)
-        # At the largest scale the margin vanishes.
-        assert margins(replace(MACRO, volume_mm=volume), row)[0, 2] == pytest.approx(0, abs=1e-9)
-
-
 def crowded_rows(n, seed):
     """Configurations whose bodies are often in the way; the camera may stand behind."""
     rng = np.random.default_rng(seed)
@@ -297,7 +288,6 @@ def test_no_rig_at_all_has_no_margin():
     row = [500.0, 0, 0, 100, -np.pi / 2, 0.2]
     assert np.all(margins(MACRO, row) == -np.inf)
     assert explain(MACRO, row) == ["g1: the projector's axis does not meet the reference plane"]
-    assert volume_scale(MACRO, row) == 0
 
 
 def test_explain_names_part_and_amount():

@@ -1,0 +1,275 @@
+"""``slbench design evaluate`` and ``design rig``, from the command line to the files."""
+
+import csv
+import json
+
+import cv2
+import numpy as np
+import pytest
+from scenes_small import run_cli
+
+from slbench import resources
+from slbench.design.evaluate import evaluate
+from slbench.design.front import Front
+from slbench.design.hardware import VARIABLES, load_hardware, read_configurations
+from slbench.scenefile import load_scene
+
+NAME = "hardware/macro-ch6"
+TABLE_4 = resources.find("scenes", NAME).parent / "table4.csv"
+MACRO = load_hardware(NAME)
+
+METRICS = [
+    "mu_mm",
+    "sigma_mm",
+    "eta",
+    "n_points",
+    "dispersion_mm",
+    "camera_distance_mm",
+    "projector_distance_mm",
+    "angle_deg",
+]
+FILES = {
+    "front.csv",
+    "clusters.csv",
+    "front.npz",
+    "front.png",
+    "rigs.png",
+    "scene.toml",
+    "provenance.json",
+}
+
+
+@pytest.fixture(scope="module")
+def found(tmp_path_factory):
+    """A short search's folder and what it printed."""
+    out = tmp_path_factory.mktemp("design") / "rig"
+    outcome = run_cli("design", "rig", NAME, "--out", out, "--evaluations", 150, "--json")
+    assert outcome.status == 0, outcome.err
+    return out, outcome
+
+
+def table(path):
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def check_refused(outcome, *words):
+    assert outcome.status == 2
+    assert outcome.out == ""
+    assert len(outcome.err.splitlines()) == 1
+    assert outcome.err.startswith("error: ")
+    for word in words:
+        assert word in outcome.err
+
+
+def check_scene(path, configuration):
+    """Compare the file's rig with the one that the hardware gives; 1e-9 mm and rad."""
+    scene, rig = load_scene(path), MACRO.rig(configuration)
+    for ours, theirs in ((scene.rig.camera, rig.camera), (scene.rig.projector, rig.projector)):
+        np.testing.assert_allclose(ours.pose.rotation, theirs.pose.rotation, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(ours.pose.position, theirs.pose.position, rtol=0, atol=1e-9)
+        assert ours.lens.focus_distance_mm == pytest.approx(theirs.lens.focus_distance_mm, abs=1e-9)
+        assert ours.body_mm == theirs.body_mm
+    assert scene.rig.volume_mm == rig.volume_mm
+    assert len(scene.objects) == 1
+
+
+def test_evaluate_json():
+    status, out, _ = run_cli("design", "evaluate", NAME, TABLE_4, "--json")
+    assert status == 0
+    rows = json.loads(out)
+    direct = evaluate(MACRO, read_configurations(TABLE_4))
+    assert len(rows) == 18
+    for k, row in enumerate(rows):
+        assert set(row) == {*METRICS, "feasible", "margins"}
+        assert list(row["margins"]) == ["g1", "g2", "g3", "g4", "g5", "g6"]
+        for name in METRICS:  # JSON keeps every digit
+            assert row[name] == getattr(direct, name)[k]
+        assert list(row["margins"].values()) == direct.margins[k].tolist()
+        assert row["feasible"] is all(margin > 0 for margin in row["margins"].values())
+
+
+def test_evaluate_keeps_the_order_and_names_what_fails(tmp_path):
+    lines = TABLE_4.read_text().split()
+    path = tmp_path / "some.csv"
+    outside = "300.0,-475.0,-100.0,212.5,-18.0,10.88"  # the panel nearer than 575 mm
+    path.write_text("\n".join([lines[0], lines[18], outside, lines[1]]))
+    rows = json.loads(run_cli("design", "evaluate", NAME, path, "--json").out)
+    every = evaluate(MACRO, read_configurations(TABLE_4))
+    assert rows[0]["mu_mm"] == every.mu_mm[17]
+    assert rows[2]["mu_mm"] == every.mu_mm[0]
+    assert [row["feasible"] for row in rows] == [True, False, True]
+    assert rows[1]["margins"]["g2"] < 0
+    status, out, _ = run_cli("design", "evaluate", NAME, path)
+    assert status == 0
+    assert "no: " in out
+    assert "g2" in out
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", ("line 1", "none")),
+        ("a,b\n1,2\n", ("line 1", "z_ref_mm,w_mm")),
+        (",".join(VARIABLES), ("at least one",)),
+        (",".join(VARIABLES) + "\n1,2,3\n", ("line 2", "six finite numbers")),
+        (",".join(VARIABLES) + "\n1,2,3,4,nan,6\n", ("line 2", "nan")),
+        (",".join(VARIABLES) + "\n1,2,3,4,five,6\n", ("line 2", "five")),
+    ],
+)
+def test_bad_configurations_are_refused_in_one_line(tmp_path, content, words):
+    path = tmp_path / "bad.csv"
+    path.write_text(content)
+    check_refused(run_cli("design", "evaluate", NAME, path), "bad.csv", *words)
+    check_refused(run_cli("design", "evaluate", NAME, path, "--json"), *words)
+    out = tmp_path / "out"
+    check_refused(run_cli("design", "rig", NAME, "--start", path, "--out", out), *words)
+    assert not out.exists()
+
+
+def test_missing_files_are_refused_in_one_line(tmp_path):
+    missing = tmp_path / "missing.csv"
+    check_refused(run_cli("design", "evaluate", NAME, missing), "missing.csv")
+    check_refused(run_cli("design", "evaluate", "hardware/none", TABLE_4), "hardware/none")
+    check_refused(run_cli("design", "rig", "hardware/none", "--out", tmp_path / "out"))
+    check_refused(run_cli("design", "rig", NAME, "--start", tmp_path / "no.npz"), "no.npz")
+
+
+def test_rig_files_and_summary(found):
+    out, outcome = found
+    assert {path.name for path in out.iterdir()} == FILES
+    assert outcome.out.count("\n") == 1
+    summary = json.loads(outcome.out)
+    front, clusters = table(out / "front.csv"), table(out / "clusters.csv")
+    saved = Front.load(out / "front.npz")
+    assert summary["front"] == len(front) == len(saved)
+    assert summary["clusters"] == len(clusters)
+    assert 100 < summary["evaluations"] == saved.evaluations <= 150
+    assert summary["stopped"] == saved.stopped == "budget"
+    assert summary["feasible"] is True
+    for name in ("front.png", "rigs.png"):
+        assert cv2.imread(str(out / name)).std() > 5  # not a blank sheet
+    record = json.loads((out / "provenance.json").read_text())
+    assert record["seed"] == 0
+    assert record["parameters"]["evaluations"] == summary["evaluations"]
+    assert str(out) == summary["out"]
+
+
+def test_tables_hold_the_front(found):
+    out, outcome = found
+    summary = json.loads(outcome.out)
+    front, clusters = table(out / "front.csv"), table(out / "clusters.csv")
+    saved = Front.load(out / "front.npz")
+    degrees = np.c_[saved.x[:, :4], np.rad2deg(saved.x[:, 4:])]
+    written = np.array([[float(row[name]) for name in VARIABLES] for row in front])
+    np.testing.assert_allclose(written, degrees, rtol=1e-8)  # nine digits
+    again = evaluate(MACRO, saved.x)
+    for name in METRICS:
+        values = [float(row[name]) for row in front]
+        np.testing.assert_allclose(values, getattr(again, name), rtol=1e-8)
+    for column, name in enumerate(("error", "coverage", "dispersion")):
+        np.testing.assert_allclose(
+            [float(row[name]) for row in front], saved.f[:, column], rtol=1e-8
+        )
+    for number, row in enumerate(clusters):
+        assert int(row["cluster"]) == number
+        assert int(front[int(row["member"])]["cluster"]) == number
+        same = front[int(row["member"])]
+        assert {**same} == {**row}
+    chosen = [row for row in clusters if row["recommended"] == "1"]
+    assert [int(row["cluster"]) for row in chosen] == [summary["recommended"]]
+
+
+def test_scene_holds_the_recommended_rig(found):
+    out, outcome = found
+    summary = json.loads(outcome.out)
+    member = int(table(out / "clusters.csv")[summary["recommended"]]["member"])
+    configuration = Front.load(out / "front.npz").x[member]
+    check_scene(out / "scene.toml", configuration)
+    degrees = [*configuration[:4], *np.rad2deg(configuration[4:])]
+    assert summary["configuration"] == pytest.approx(degrees, rel=1e-14)
+
+
+def test_pick_and_going_on(found, tmp_path):
+    """Another cluster's rig goes into the scene; a front at its budget is not searched again."""
+    before, outcome = found
+    other = (json.loads(outcome.out)["recommended"] + 1) % json.loads(outcome.out)["clusters"]
+    arguments = ("--start", before / "front.npz", "--evaluations", 150)
+    status, text, err = run_cli(
+        "design", "rig", NAME, "--out", tmp_path / "rig", *arguments, "--pick", other
+    )
+    assert status == 0, err
+    assert "slbench scan" in text
+    assert len(text.splitlines()) == 3
+    x = Front.load(before / "front.npz").x
+    np.testing.assert_array_equal(Front.load(tmp_path / "rig" / "front.npz").x, x)
+    clusters = table(tmp_path / "rig" / "clusters.csv")
+    check_scene(tmp_path / "rig" / "scene.toml", x[int(clusters[other]["member"])])
+    wrong = run_cli("design", "rig", NAME, "--out", tmp_path / "no", *arguments, "--pick", 999)
+    check_refused(wrong, "cluster", "999")
+    assert not (tmp_path / "no").exists()
+
+
+def test_limits_and_objectives_are_passed_on(tmp_path):
+    arguments = ("--objectives", "error, dispersion", "--min-angle-deg", 30, "--seed", 2)
+    arguments += ("--max-footprint-mm", 750, "--start", TABLE_4, "--evaluations", 60, "--json")
+    status, _, err = run_cli("design", "rig", NAME, "--out", tmp_path / "rig", *arguments)
+    assert status == 0, err
+    rows = table(tmp_path / "rig" / "front.csv")
+    assert "coverage" not in rows[0]
+    assert all(float(row["angle_deg"]) >= 30 for row in rows)
+    record = json.loads((tmp_path / "rig" / "provenance.json").read_text())
+    assert record["seed"] == 2
+    assert record["parameters"]["objectives"] == ["error", "dispersion"]
+    assert record["parameters"]["max_footprint_mm"] == 750
+
+
+def hardware_file(folder, text):
+    path = folder / "hardware.toml"
+    path.write_text(f'extends = "{NAME}"\n{text}\n')
+    return path
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[design]\ncamera_working_distance_mm = [50.0, 100.0]", ("g2", "camera", " mm")),
+        ("[rig]\nvolume_mm = [600.0, 700.0, 300.0]", ("g3", "field of view", " mm")),
+        ("[camera]\npitch_um = 0.0", ("camera.pitch_um",)),
+        ("[design]\ncamera_working_distance_mm = [850.0, 300.0]", ("working distance",)),
+        ("[design]\nw_mm = [0.0, -500.0]", ("w_mm",)),
+        ("[design]\nspeed = 3", ("speed",)),
+        ("[camera", ("hardware.toml",)),
+    ],
+)
+def test_hardware_that_cannot_work_is_refused_in_one_line(tmp_path, text, words):
+    path = hardware_file(tmp_path, text)
+    out = tmp_path / "out"
+    check_refused(run_cli("design", "rig", path, "--out", out), *words)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--objectives", "speed"),
+        ("--objectives", "error,error"),
+        ("--objectives", ""),
+        ("--evaluations", 0),
+        ("--max-footprint-mm", -1),
+        ("--min-angle-deg", "nan"),
+        ("--pick", -1),
+        ("--seed", -1),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(tmp_path, arguments):
+    out = tmp_path / "out"
+    check_refused(run_cli("design", "rig", NAME, "--out", out, *arguments))
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("command", ["evaluate", "rig", "verify"])
+def test_help_has_an_example(command):
+    status, out, _ = run_cli("design", command, "--help")
+    assert status == 0
+    assert f"Example: slbench design {command} {NAME}" in " ".join(out.split())
