@@ -118,7 +118,7 @@ def rig(
     table = path.with_name("table4.csv")
     marked = run(loaded, read_configurations(table)) if table.is_file() and not micro else None
     parameters = {
-        "hardware": str(path),
+        "hardware": hardware,
         "objectives": design.objectives,
         "evaluations": design.front.evaluations,
         "max_footprint_mm": max_footprint_mm,

@@ -170,10 +170,11 @@ def test_refuses_hardware_that_cannot_be(tmp_path, table, message):
 
 
 def test_refuses_hardware_without_a_design_table_or_volume(tmp_path):
-    with pytest.raises(InputError, match=r"micro-ch8.toml: design"):
-        load_hardware("hardware/micro-ch8")
     path = tmp_path / "hardware.toml"
     text = (TABLE_4.parent / "macro-ch6.toml").read_text()
+    path.write_text(text[: text.index("[design]")])
+    with pytest.raises(InputError, match=r"hardware.toml: design"):
+        load_hardware(path)
     path.write_text(text.replace("volume_mm = [60.0, 70.0, 30.0]", ""))
     with pytest.raises(InputError, match=r"rig.volume_mm"):
         load_hardware(path)
@@ -190,3 +191,9 @@ def test_a_distorted_telecentric_lens_needs_a_fixed_focus():
     with pytest.raises(InputError, match="camera focus_distance_mm"):
         replace(MACRO, camera=bent)
     replace(MACRO, camera=bent, refocused=(False, True))
+
+
+def test_the_microscope_has_what_a_design_needs():
+    micro = load_hardware("hardware/micro-ch8")
+    assert micro.volume_mm == (0.5, 0.5, 0.5)
+    assert micro.camera.body_mm == (34, 34, 120)
