@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture import Capture, capture, noise_free_coordinates
-from slbench.figures import summary
-from slbench.io import atomic_folder, write_json, write_ply, write_provenance
-from slbench.objects import Mesh
 from slbench.patterns import PhaseMap
 from slbench.reconstruct import PointCloud, triangulate
 from slbench.scene import Scene
-from slbench.score import Score, point_errors, score
+from slbench.score import Score, score
 from slbench.transport import LightTransport
 from slbench.truth import GroundTruth
 
@@ -161,53 +156,3 @@ def floor_rms_px(scene: Scene, transport: LightTransport, truth: GroundTruth) ->
         squares.append(error[np.isfinite(error)] ** 2)
     values = np.concatenate(squares)
     return float(np.sqrt(values.mean())) if values.size else float("nan")
-
-
-def write_scan(result: Scan, folder: str | Path) -> list[Path]:
-    """Write a scan's files; nothing appears in `folder` until all are complete.
-
-    Returns
-    -------
-    list of Path
-        Frames and manifest (``capture.toml``, ``frames/``, ``rig.yaml``), ``truth.exr``,
-        ``transport.npz``, ``cloud.ply`` (where there are points), ``score.json``,
-        ``summary.png``, ``provenance.json``.
-    """
-    with atomic_folder(folder) as temporary:
-        result.capture.save(temporary)
-        result.truth.save(temporary / "truth.exr")
-        result.transport.save(temporary / "transport.npz")
-        if len(result.cloud):
-            write_cloud(temporary / "cloud.ply", result.cloud, result.truth)
-        write_json(temporary / "score.json", result.to_dict())
-        summary(result, temporary / "summary.png")
-        parameters = {
-            "scene": result.scene.specification,
-            "patterns": result.scene.sequence.to_dict(),
-            "samples": result.transport.samples,
-            "noise": result.noise,
-            "variant": result.variant,
-            "objects": [
-                {"name": item.artefact.name, "sha256": _digest(item.artefact.mesh)}
-                for item in result.scene.objects
-            ],
-        }
-        write_provenance(temporary, parameters, result.seed)
-        names = [entry.name for entry in sorted(temporary.iterdir())]
-    return [Path(folder) / name for name in names]
-
-
-def _digest(mesh: Mesh) -> str:
-    """Return a hash of a mesh, which tells whether two scans saw the same object."""
-    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()
-
-
-def write_cloud(path: str | Path, cloud: PointCloud, truth: GroundTruth | None = None) -> None:
-    """Write a cloud as binary PLY with ``sigma`` and, given truth, ``error`` (both mm).
-
-    ``error`` is the signed height error, NaN where truth has no lit point.
-    """
-    fields: dict[str, NDArray[np.float64]] = {"sigma": cloud.sigma_total_mm}
-    if truth is not None:
-        fields["error"] = point_errors(cloud, truth)[:, 2]
-    write_ply(path, cloud.points, fields)

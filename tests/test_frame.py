@@ -17,19 +17,33 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "slbench"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
-# The main stream: a unit imports only from those before it.
+# The whole package in order: a unit imports only from those before it.
 STREAM = (
     "errors",
+    "io",
+    "resources",
+    "validation",
     "rig",
     "patterns",
     "objects",
+    "materials",
     "detector",
     "scene",
+    "scenefile",
     "transport",
+    "truth",
     "render",
     "capture",
     "reconstruct",
+    "features",
     "score",
+    "figures",
+    "scan",
+    "summary",
+    "scanfolder",
+    "design",
+    "sheets",
+    "doctor",
     "cli",
 )
 
@@ -110,6 +124,10 @@ class TestImports:
         assert "slbench.errors" in own_imports("slbench.render.llvm")
         assert "mitsuba" in imported_names("slbench.render.backend")
         assert "render" in unit_imports()["doctor"]
+
+    def test_every_unit_has_its_place(self):
+        # The package itself holds the version alone.
+        assert set(unit_imports()) - {""} == set(STREAM)
 
     def test_only_render_imports_mitsuba(self):
         offenders = {

@@ -48,7 +48,7 @@ def scan(
 ) -> None:
     """Measure a scene: trace, capture, decode, triangulate and score it."""
     from slbench.scan import scan as run
-    from slbench.scan import write_scan
+    from slbench.scanfolder import write_scan
     from slbench.scenefile import load_scene
 
     loaded = load_scene(scene, preview=preview)
@@ -135,7 +135,7 @@ def decode(
     from slbench.capture import Capture
     from slbench.reconstruct import triangulate
     from slbench.rig.opencv import read_rig
-    from slbench.scan import write_cloud
+    from slbench.scanfolder import write_cloud
 
     shots = Capture.load(folder)
     if rig is not None:

@@ -19,7 +19,8 @@ from slbench.objects import Artefact, Mesh
 from slbench.patterns import PatternSequence
 from slbench.render.trace import trace
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
-from slbench.scan import floor_rms_px, scan, write_scan
+from slbench.scan import floor_rms_px, scan
+from slbench.scanfolder import write_scan
 from slbench.scene import Exposure, Light, Scene, SceneObject
 from slbench.scenefile import load_scene
 from slbench.score import point_errors
@@ -380,7 +381,7 @@ def test_samples_override_the_scene():
 
 def test_files_hold_the_result(tmp_path, monkeypatch):
     # The picture takes longer than the scan; test_cli looks at it.
-    monkeypatch.setattr("slbench.scan.summary", lambda _, path: path.write_bytes(b"picture"))
+    monkeypatch.setattr("slbench.scanfolder.summary", lambda _, path: path.write_bytes(b"picture"))
     result = scanned("step-block")
     folder = tmp_path / "deep" / "out"
     written = write_scan(result, folder)
@@ -408,14 +409,14 @@ def test_files_hold_the_result(tmp_path, monkeypatch):
 
 def test_a_failing_write_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
     result = scanned("plane")
-    monkeypatch.setattr("slbench.scan.summary", lambda _, path: path.write_bytes(b"picture"))
+    monkeypatch.setattr("slbench.scanfolder.summary", lambda _, path: path.write_bytes(b"picture"))
     write_scan(result, tmp_path / "out")
     before = (tmp_path / "out" / "cloud.ply").read_bytes()
 
     def fail(*_):
         raise InputError("figure", "paper", "none")
 
-    monkeypatch.setattr("slbench.scan.summary", fail)
+    monkeypatch.setattr("slbench.scanfolder.summary", fail)
     for name in ("out", "new"):
         with pytest.raises(InputError):
             write_scan(scanned("plane", noise=False), tmp_path / name)
