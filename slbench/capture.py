@@ -351,18 +351,16 @@ def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
     InputError
         For an absolute exposure through a pinhole, or where the projector lights nothing.
     """
-    camera, detector = scene.rig.camera, scene.detector
-    area = camera.pitch_mm[0] * camera.pitch_mm[1]
+    camera, detector, time = scene.rig.camera, scene.detector, scene.exposure.time_s
     per_second = None
-    if np.isfinite(camera.lens.f_number):
-        irradiance = camera.etendue_mm2_sr / area  # on the sensor, per unit scene radiance
-        per_second = float(photons_from_irradiance(irradiance, 1.0, area, detector.wavelength_nm))
-    time = scene.exposure.time_s
-    if time is not None:
-        if per_second is None:
-            camera.etendue_mm2_sr  # noqa: B018 - raises: a pinhole has no absolute exposure
-        assert per_second is not None
-        return per_second * time, time
+    if time is not None or np.isfinite(camera.lens.f_number):
+        # Photons per second and unit scene radiance; a pinhole has none, and says so.
+        area = camera.pitch_mm[0] * camera.pitch_mm[1]
+        irradiance = camera.etendue_mm2_sr / area
+        photons = photons_from_irradiance(irradiance, 1.0, area, detector.wavelength_nm)
+        per_second = float(photons)
+        if time is not None:
+            return per_second * time, time
     white = transport.white().astype(np.float64)
     lit = white > transport.ambient
     if not np.any(lit):

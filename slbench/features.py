@@ -172,10 +172,7 @@ def _facing(
     device: Device, points: Array, chosen: NDArray[np.intp], normal: Array
 ) -> tuple[NDArray[np.intp], Array]:
     """Keep the chosen points whose normal turns no further than allowed from a device."""
-    if device.lens.kind == "telecentric":
-        toward = np.broadcast_to(-device.pose.rotation[:, 2], normal.shape)
-    else:
-        toward = device.pose.position - points[chosen]
+    toward = device.chief_origin(points[chosen]) - points[chosen]
     cosine = np.sum(toward * normal, axis=-1) / (
         np.linalg.norm(toward, axis=-1) * np.linalg.norm(normal, axis=-1)
     )

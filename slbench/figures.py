@@ -14,7 +14,7 @@ from scipy.spatial import ConvexHull
 
 from slbench.io import atomic_path
 from slbench.objects import Artefact
-from slbench.rig import Rig
+from slbench.rig import Rig, box_corners
 from slbench.scene import Scene, SceneObject
 
 
@@ -134,8 +134,7 @@ def draw_rig(axes: Any, rig: Rig, objects: Sequence[SceneObject], across: int) -
         axes.plot(centre[across], centre[2], "o", color=colour, markersize=4, label=name)
         axes.plot([centre[across], 0.0], [centre[2], 0.0], color=colour, linewidth=0.7)
     for item in objects:
-        low, high = item.artefact.mesh.bounds
-        corners = np.array(np.meshgrid(*np.stack((low, high), axis=1))).reshape(3, -1).T
+        corners = box_corners(*item.artefact.mesh.bounds)
         _outline(axes, item.pose.to_world(corners), across, "0.3", 0.5)
     _outline(axes, rig.volume_corners, across, "C2", 0.25, label="measurement volume")
     axes.set_aspect("equal")

@@ -69,7 +69,7 @@ class Optics(Parameters):
         return self
 
     def arguments(self, distance_mm: float) -> dict[str, Any]:
-        """Return the arguments of Camera or Projector, focused at `distance_mm` by default."""
+        """Return the arguments of a device, focused at `distance_mm` by default."""
         focus = self.focus_distance_mm or distance_mm
         if self.magnification is not None:
             lens = Lens.telecentric(self.magnification, self.numerical_aperture or 0.0, focus)
@@ -114,6 +114,11 @@ class ProjectorOptics(Optics):
     flux_w: Positive = 1.0
     bit_depth: Annotated[int, Field(ge=0, le=16)] = 8
     gamma: Positive = 1.0
+
+    def arguments(self, distance_mm: float) -> dict[str, Any]:
+        """Return the arguments of Projector, focused at `distance_mm` by default."""
+        light = {"flux_w": self.flux_w, "bit_depth": self.bit_depth or None, "gamma": self.gamma}
+        return super().arguments(distance_mm) | light
 
 
 class _Place(Parameters):
@@ -358,13 +363,7 @@ def _rig(file: _SceneFile, folder: Path) -> Rig:
         if distance <= 0:
             raise InputError(f"rig.{name}", "a device that faces the origin", "it faces away")
     camera = Camera(**file.camera.arguments(camera_focus), pose=poses[0])
-    projector = Projector(
-        **file.projector.arguments(projector_focus),
-        pose=poses[1],
-        flux_w=file.projector.flux_w,
-        bit_depth=file.projector.bit_depth or None,
-        gamma=file.projector.gamma,
-    )
+    projector = Projector(**file.projector.arguments(projector_focus), pose=poses[1])
     return Rig(camera, projector, values.volume_mm)
 
 

@@ -22,7 +22,16 @@ from pydantic import Field
 
 from slbench import resources
 from slbench.errors import InputError
-from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
+from slbench.rig import (
+    Camera,
+    DesignVariables,
+    Device,
+    Lens,
+    Projector,
+    Rig,
+    box_corners,
+    rotation_yx,
+)
 from slbench.scenefile import Optics, ProjectorOptics, read_merged
 from slbench.validation import Finite, Parameters, validated
 
@@ -141,8 +150,8 @@ class Hardware:
     @property
     def volume_corners(self) -> Array:
         """The eight corners of the measurement volume, (8, 3), world frame."""
-        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T
-        return signs * np.array(self.volume_mm) / 2.0
+        half = np.array(self.volume_mm) / 2.0
+        return box_corners(-half, half)
 
     def focused(self, device: AnyDevice, distance: float) -> AnyDevice:
         """Return `device` focused at `distance` (mm), unless the hardware fixes its focus."""
@@ -191,7 +200,7 @@ class Hardware:
         """
         rows = as_configurations(configurations)
         z_ref, alpha, beta = rows[:, 0], rows[:, 4], rows[:, 5]
-        projector = _rotations(alpha, beta)
+        projector = rotation_yx(alpha, beta)
         axis = projector[:, :, 2]
         meets = (z_ref > 0) & (axis[:, 2] > _GRAZING)
         target = axis * (z_ref / np.where(meets, axis[:, 2], np.nan))[:, None]
@@ -199,7 +208,7 @@ class Hardware:
         valid = meets & (np.linalg.norm(view, axis=1) > _COINCIDENT_MM)
         view[~valid] = np.nan
         target[~valid] = np.nan
-        camera = _rotations(
+        camera = rotation_yx(
             np.arctan2(view[:, 0], view[:, 2]),
             np.arctan2(-view[:, 1], np.hypot(view[:, 0], view[:, 2])),
         )
@@ -216,13 +225,6 @@ class Hardware:
             np.arccos(np.clip(cosine, -1.0, 1.0)),
             valid,
         )
-
-
-def _rotations(alpha: Array, beta: Array) -> Array:
-    """Return ``Ry(alpha) Rx(beta)`` of thesis eq. 3 for arrays of angles, (n, 3, 3)."""
-    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
-    rows = [[ca, sa * sb, sa * cb], [np.zeros_like(ca), cb, -sb], [-sa, ca * sb, ca * cb]]
-    return np.ascontiguousarray(np.array(rows).transpose(2, 0, 1))
 
 
 def as_configurations(values: ArrayLike | Sequence[DesignVariables]) -> Array:
@@ -370,12 +372,7 @@ def load_hardware(name_or_path: str | Path) -> Hardware:
     try:
         # A lens focused on the origin gets its true distance once it has a place.
         camera = Camera(**file.camera.arguments(max(cameras)))
-        projector = Projector(
-            **file.projector.arguments(max(projectors)),
-            flux_w=file.projector.flux_w,
-            bit_depth=file.projector.bit_depth or None,
-            gamma=file.projector.gamma,
-        )
+        projector = Projector(**file.projector.arguments(max(projectors)))
         lower, upper = (tuple(float(x) for x in column) for column in ranges.T)
         return Hardware(
             camera,

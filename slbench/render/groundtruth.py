@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from slbench.render.mitsuba import dr, mi
 from slbench.render.translate import geometry, shape_indices, shapes
-from slbench.rig import Device
 from slbench.scene import Scene
 from slbench.truth import GroundTruth, Status
 
@@ -122,7 +121,7 @@ class _Rays:
 
     def _seen(self, point: Array, normal: Array, hit: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Tell which points face the projector's lens centre and have a free view of it."""
-        source = _lens_centre(self.projector, point)
+        source = self.projector.chief_origin(point)
         facing = hit & (np.sum((source - point) * normal, axis=-1) > 0)
         facing &= self.projector.pose.to_local(point)[:, 2] > 0
         # Off the surface by more than single precision rounds, as Mitsuba does by itself.
@@ -138,11 +137,3 @@ class _Rays:
 
 def _columns(vectors: Array) -> Any:
     return np.ascontiguousarray(np.nan_to_num(vectors).T.astype(np.float32))
-
-
-def _lens_centre(projector: Device, point: Array) -> Array:
-    """Return where each point's chief ray leaves the projector, world coordinates."""
-    local = np.zeros_like(point)
-    if projector.lens.kind == "telecentric":
-        local[..., :2] = projector.pose.to_local(point)[..., :2]
-    return projector.pose.to_world(local)

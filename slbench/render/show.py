@@ -12,7 +12,7 @@ from slbench.objects import Artefact
 from slbench.render.mitsuba import mi
 from slbench.render.plugins import register
 from slbench.render.translate import shapes
-from slbench.rig import Pose
+from slbench.rig import Pose, box_corners
 from slbench.scene import SceneObject
 
 #: Azimuth and elevation of the view: the object's x axis stays horizontal to the right.
@@ -69,7 +69,7 @@ def shade(
     right = np.cross([0.0, 0.0, 1.0], toward)
     right /= np.linalg.norm(right)
     up = np.cross(toward, right)
-    corners = np.array(np.meshgrid(*np.stack((low, high), axis=1))).reshape(3, -1).T - centre
+    corners = box_corners(low, high) - centre
     half = 1.08 * float(max(np.abs(corners @ right).max(), np.abs(corners @ up).max()))
     view = mi.ScalarTransform4f().look_at(
         origin=(centre + toward * 4.0 * radius).tolist(), target=centre.tolist(), up=[0, 0, 1]

@@ -2,7 +2,17 @@
 
 from slbench.rig.device import Camera, Device, Projector
 from slbench.rig.lens import Lens
-from slbench.rig.pose import Pose
+from slbench.rig.pose import Pose, box_corners
 from slbench.rig.rig import DesignVariables, Rig, rotation_yx
 
-__all__ = ["Camera", "DesignVariables", "Device", "Lens", "Pose", "Projector", "Rig", "rotation_yx"]
+__all__ = [
+    "Camera",
+    "DesignVariables",
+    "Device",
+    "Lens",
+    "Pose",
+    "Projector",
+    "Rig",
+    "box_corners",
+    "rotation_yx",
+]

@@ -35,7 +35,7 @@ from slbench.rig.distortion import (
     undistort,
 )
 from slbench.rig.lens import Lens
-from slbench.rig.pose import Pose
+from slbench.rig.pose import Pose, box_corners
 
 Array = NDArray[np.float64]
 
@@ -225,6 +225,17 @@ class Device:
             direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
         return self.pose.to_world(local), direction @ self.pose.rotation.T
 
+    def chief_origin(self, points: ArrayLike) -> Array:
+        """Return where the chief rays to world points (..., 3) pass the lens, (..., 3).
+
+        The nodal point; for a telecentric lens the foot of the point on the plane of it.
+        """
+        local = self.pose.to_local(points)
+        local[..., 2] = 0.0
+        if self.lens.kind != "telecentric":
+            local[..., :2] = 0.0
+        return self.pose.to_world(local)
+
     # -- focus -------------------------------------------------------------------------
 
     @property
@@ -306,8 +317,7 @@ class Device:
         if self.body_mm is None:
             return np.empty((0, 3))
         x, y, z = self.body_mm
-        grid = np.meshgrid([-x / 2, x / 2], [-y / 2, y / 2], [-z, 0.0], indexing="ij")
-        return self.pose.to_world(np.stack(grid, axis=-1).reshape(8, 3))
+        return self.pose.to_world(box_corners((-x / 2, -y / 2, -z), (x / 2, y / 2, 0.0)))
 
     def relative_illumination(self, pixels: ArrayLike) -> Array:
         """Return the lens's fall-off at pixels (..., 2): cos^4 of the field angle, or 1."""

@@ -1,4 +1,4 @@
-"""Poses: where a device or an object is in the world."""
+"""Poses: where a device or an object is in the world; corners of boxes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.errors import InputError
 
 Array = NDArray[np.float64]
+
+
+def box_corners(low: ArrayLike, high: ArrayLike) -> Array:
+    """Return the eight corners (8, 3) of the box between two opposite ones (3,)."""
+    pairs = np.stack((np.asarray(low, np.float64), np.asarray(high, np.float64)), axis=1)
+    return np.stack(np.meshgrid(*pairs, indexing="ij"), axis=-1).reshape(8, 3)
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slbench.errors import InputError
 from slbench.rig.device import Camera, Projector
-from slbench.rig.pose import Pose
+from slbench.rig.pose import Pose, box_corners
 
 Array = NDArray[np.float64]
 
@@ -27,13 +27,18 @@ Array = NDArray[np.float64]
 _DESIGN_TO_WORLD = np.diag([1.0, -1.0, -1.0])
 
 
-def rotation_yx(alpha: float, beta: float) -> Array:
-    """Return ``Ry(alpha) Rx(beta)``, (3, 3): thesis eq. 3; columns are the turned axes."""
-    ca, sa = np.cos(alpha), np.sin(alpha)
-    cb, sb = np.cos(beta), np.sin(beta)
-    about_y = np.array([[ca, 0.0, sa], [0.0, 1.0, 0.0], [-sa, 0.0, ca]])
-    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cb, -sb], [0.0, sb, cb]])
-    return about_y @ about_x
+def rotation_yx(alpha: ArrayLike, beta: ArrayLike) -> Array:
+    """Return ``Ry(alpha) Rx(beta)``, (..., 3, 3): thesis eq. 3; columns are the turned axes.
+
+    Parameters
+    ----------
+    alpha, beta : (...) float
+        Angles, rad.
+    """
+    a, b = np.broadcast_arrays(np.asarray(alpha, np.float64), np.asarray(beta, np.float64))
+    ca, sa, cb, sb = np.cos(a), np.sin(a), np.cos(b), np.sin(b)
+    rows = [[ca, sa * sb, sa * cb], [np.zeros_like(ca), cb, -sb], [-sa, ca * sb, ca * cb]]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
 @dataclass(frozen=True)
@@ -142,5 +147,5 @@ class Rig:
     @property
     def volume_corners(self) -> Array:
         """The eight corners of the measurement volume, (8, 3), world frame."""
-        signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T
-        return signs * np.array(self.volume_mm) / 2.0
+        half = np.array(self.volume_mm) / 2.0
+        return box_corners(-half, half)
