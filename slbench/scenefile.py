@@ -94,7 +94,9 @@ class Optics(Parameters):
         }
 
 
-class _Detector(Parameters):
+class DetectorTable(Parameters):
+    """A detector; what is not given is as Detector has it."""
+
     bit_depth: int | None = None
     full_well_e: Finite | None = None
     read_noise_e: Finite | None = None
@@ -106,6 +108,10 @@ class _Detector(Parameters):
     offset_dn: Finite | None = None
     gain_e_per_dn: Finite | None = None
     seed: int | None = None
+
+    def detector(self) -> Detector:
+        """Return the detector."""
+        return Detector(**self.model_dump(exclude_none=True))
 
 
 class ProjectorOptics(Optics):
@@ -229,7 +235,7 @@ class _SceneFile(Parameters):
     description: str = ""
     camera: Optics | None = None
     projector: ProjectorOptics | None = None
-    detector: _Detector = _Detector()
+    detector: DetectorTable = DetectorTable()
     rig: _Rig
     objects: Annotated[tuple[_Object, ...], Field(min_length=1)]
     materials: dict[str, _Material] = Field(default_factory=dict)
@@ -318,7 +324,6 @@ def _merged(base: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:
 def _build(file: _SceneFile, path: Path, content: dict[str, Any]) -> Scene:
     rig = _rig(file, path.parent)
     panel = (rig.projector.width, rig.projector.height)
-    given = file.detector.model_dump(exclude_none=True)
     return Scene(
         name=file.name,
         rig=rig,
@@ -326,7 +331,7 @@ def _build(file: _SceneFile, path: Path, content: dict[str, Any]) -> Scene:
         sequence=PatternSequence.parse(
             file.patterns.sequence, panel, file.patterns.shifts, file.patterns.axes
         ),
-        detector=Detector(**given),
+        detector=file.detector.detector(),
         exposure=Exposure(
             None if file.exposure.time_ms is None else file.exposure.time_ms * 1e-3,
             file.exposure.white_level,

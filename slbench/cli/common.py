@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from slbench.errors import InputError
 from slbench.io import plain
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
@@ -33,6 +35,12 @@ def new_app(help_text: str, name: str | None = None) -> typer.Typer:
         pretty_exceptions_enable=False,
         rich_markup_mode=None,
     )
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a folder to write to that is a file, before the work that fills it is done."""
+    if path.exists() and not path.is_dir():
+        raise InputError("--out", "a folder", f"{path}, a file")
 
 
 @contextmanager

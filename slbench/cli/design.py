@@ -10,7 +10,15 @@ import typer
 from rich.table import Table
 
 from slbench import resources
-from slbench.cli.common import Json, Seed, new_app, print_json, print_table, progress
+from slbench.cli.common import (
+    Json,
+    Seed,
+    check_folder,
+    new_app,
+    print_json,
+    print_table,
+    progress,
+)
 
 app = new_app("Design of structured-light systems: rigs.")
 
@@ -89,12 +97,17 @@ def rig(
     """Search for the best rigs of given hardware; report them, and a scene to scan."""
     from slbench.design.evaluate import evaluate as run
     from slbench.design.front import Front
-    from slbench.design.hardware import load_hardware, read_configurations
+    from slbench.design.hardware import (
+        load_hardware,
+        read_configurations,
+        thesis_configurations,
+    )
     from slbench.design.optimise import optimise
     from slbench.design.report import write_design
     from slbench.design.volume import largest_box
     from slbench.scenefile import read_merged
 
+    check_folder(out)
     loaded = load_hardware(hardware)
     path = resources.find("scenes", hardware)
     begin: Any = None
@@ -114,9 +127,8 @@ def rig(
         )
     if pick is not None:
         design.member(pick)  # refuse a wrong number before anything is written
-    # Configurations beside the hardware, as the thesis's table 4, are marked for comparison.
-    table = path.with_name("table4.csv")
-    marked = run(loaded, read_configurations(table)) if table.is_file() and not micro else None
+    known = None if micro else thesis_configurations(loaded)
+    marked = None if known is None else run(loaded, known)
     parameters = {
         "hardware": hardware,
         "objectives": design.objectives,
@@ -156,7 +168,10 @@ def rig(
 @app.command(epilog="Example: slbench design verify hardware/macro-ch6 scenes/hardware/table4.csv")
 def verify(
     hardware: HardwareName,
-    configurations: Annotated[Path, typer.Argument(help="CSV of z_ref_mm, w_mm, ... beta_p_deg.")],
+    configurations: Annotated[
+        Path | None, typer.Argument(help="CSV of rigs; without it feasible ones are drawn.")
+    ] = None,
+    count: Annotated[int, typer.Option(min=3, help="How many rigs to draw.")] = 24,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/verify"),
     patterns: Annotated[str, typer.Option(help="Fringes of three shifts.")] = "1,5",
     spp: Annotated[int, typer.Option(min=1, max=65536, help="Samples a pixel.")] = 16,
@@ -164,15 +179,21 @@ def verify(
     as_json: Json = False,
 ) -> None:
     """Scan a plate with each rig and compare the errors with the predicted ones."""
+    from slbench.design.constraints import feasible_sample
     from slbench.design.hardware import load_hardware, read_configurations
     from slbench.design.verify import draw
     from slbench.design.verify import verify as run
     from slbench.io import atomic_folder, write_json, write_provenance
 
-    rows = read_configurations(configurations)
+    check_folder(out)
+    loaded = load_hardware(hardware)
+    if configurations is None:
+        rows = feasible_sample(loaded, count, seed)
+    else:
+        rows = read_configurations(configurations)
     with progress(as_json) as report:
         result = run(
-            load_hardware(hardware),
+            loaded,
             rows,
             patterns=patterns,
             samples=spp,
@@ -180,6 +201,7 @@ def verify(
             on_progress=report,
         )
     found = {
+        "configurations": np.column_stack((rows[:, :4], np.rad2deg(rows[:, 4:]))),
         "rank_correlation": result.rank_correlation,
         "predicted_mm": result.predicted.mu_mm,
         "rendered_mm": result.rendered_mm,

@@ -10,7 +10,16 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from slbench.cli.common import Json, Preview, SceneName, Seed, print_json, print_table, progress
+from slbench.cli.common import (
+    Json,
+    Preview,
+    SceneName,
+    Seed,
+    check_folder,
+    print_json,
+    print_table,
+    progress,
+)
 from slbench.errors import InputError
 from slbench.io import atomic_folder, write_exr, write_json, write_provenance
 
@@ -62,8 +71,7 @@ def scan(
             text, steps or given["shifts"], given["axes"] if axes is None else axes
         )
     folder = out or Path("out") / loaded.name
-    if folder.exists() and not folder.is_dir():
-        raise InputError("--out", "a folder", f"{folder}, a file")
+    check_folder(folder)
     with progress(as_json) as report:
         result = run(loaded, seed=seed, noise=noise, samples=spp, on_progress=report)
         write_scan(result, folder)

@@ -217,6 +217,39 @@ def diagnose(hardware: Hardware, n: int = 4096, seed: int = 0) -> Diagnosis:
     return Diagnosis(share, row, value, highest, tuple(explain(hardware, row)))
 
 
+def feasible_sample(hardware: Hardware, n: int, seed: int = 0) -> Array:
+    """Draw feasible configurations evenly from the ranges of the design variables.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    n : int
+    seed : int
+
+    Returns
+    -------
+    (n, 6) float
+        In mm and rad.
+
+    Raises
+    ------
+    InputError
+        If `n` is not positive, or fewer than `n` of 2^17 points are feasible.
+    """
+    if n < 1:
+        raise InputError("number of configurations", "at least 1", n)
+    rng = np.random.default_rng(seed)
+    low, high = np.array(hardware.lower), np.array(hardware.upper)
+    found = np.empty((0, 6))
+    for _ in range(32):
+        rows = low + (high - low) * rng.random((4096, 6))
+        found = np.vstack((found, rows[np.all(margins(hardware, rows) > 0, axis=1)]))
+        if len(found) >= n:
+            return found[:n]
+    got = f"{len(found)}; {diagnose(hardware)}"
+    raise InputError("hardware", f"{n} feasible configurations among 131072 drawn", got)
+
+
 def _row(configuration: ArrayLike | DesignVariables) -> Array:
     if isinstance(configuration, DesignVariables):
         v = configuration

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slbench import resources
+from slbench.detector import Detector
 from slbench.errors import InputError
 from slbench.rig import (
     Camera,
@@ -32,7 +33,7 @@ from slbench.rig import (
     box_corners,
     rotation_yx,
 )
-from slbench.scenefile import Optics, ProjectorOptics, read_merged
+from slbench.scenefile import DetectorTable, Optics, ProjectorOptics, read_merged
 from slbench.validation import Finite, Parameters, validated
 
 Array = NDArray[np.float64]
@@ -96,6 +97,8 @@ class Hardware:
         Panel axes that the patterns encode: columns, or columns and rows.
     circle_px : float
         Acceptable circle of confusion, pixels of the device's own panel.
+    detector : Detector
+        Of the camera; the evaluator's geometry does without.
     refocused : (bool, bool)
         Whether camera and projector are focused on the world's origin wherever they stand;
         otherwise their lenses stay at ``focus_distance_mm``.
@@ -111,6 +114,7 @@ class Hardware:
     coded_axes: int = 1
     circle_px: float = 1.0
     refocused: tuple[bool, bool] = (True, True)
+    detector: Detector = field(default_factory=Detector)
 
     def __post_init__(self) -> None:
         for name in ("camera", "projector"):
@@ -327,10 +331,10 @@ class _HardwareFile(Parameters):
     projector: ProjectorOptics
     rig: dict[str, Any]
     design: _Design
+    detector: DetectorTable = DetectorTable()
     # What else a scene may hold: it is no concern of the design.
     name: Any = None
     description: Any = None
-    detector: Any = None
     objects: Any = None
     materials: Any = None
     light: Any = None
@@ -385,6 +389,24 @@ def load_hardware(name_or_path: str | Path) -> Hardware:
             design.coded_axes,
             design.circle_of_confusion_px,
             (file.camera.focus_distance_mm is None, file.projector.focus_distance_mm is None),
+            file.detector.detector(),
         )
     except InputError as error:
         raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
+
+
+def thesis_configurations(hardware: Hardware) -> Array | None:
+    """Return the 18 configurations of thesis table 4, where the hardware is the thesis's.
+
+    Returns
+    -------
+    (18, 6) float or None
+        None where optics, panels, bodies or measurement volume are others.
+    """
+    path = resources.find("scenes", "hardware/macro-ch6")
+    theirs = load_hardware(path)
+    same = hardware.volume_mm == theirs.volume_mm
+    for name in ("camera", "projector"):
+        ours, other = getattr(hardware, name), getattr(theirs, name)
+        same &= replace(ours, pose=other.pose) == other
+    return read_configurations(path.with_name("table4.csv")) if same else None

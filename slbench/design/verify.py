@@ -22,7 +22,6 @@ from slbench import objects
 from slbench.capture import capture
 from slbench.design.evaluate import Evaluation, evaluate
 from slbench.design.hardware import Hardware, as_configurations
-from slbench.detector import Detector
 from slbench.errors import InputError
 from slbench.io import atomic_path
 from slbench.patterns import PatternSequence
@@ -67,7 +66,6 @@ def rendered_errors(
     seed: int = 0,
     noise: bool = True,
     heights_mm: Sequence[float] | None = None,
-    detector: Detector | None = None,
 ) -> tuple[float, float]:
     """Scan a plate of the volume's size and return the RMS errors over its heights, mm.
 
@@ -84,7 +82,6 @@ def rendered_errors(
     noise : bool
     heights_mm : sequence of float, optional
         Heights of the plate; three through the volume by default.
-    detector : Detector, optional
 
     Returns
     -------
@@ -108,7 +105,7 @@ def rendered_errors(
             rig,
             (SceneObject(plate, Pose(np.eye(3), np.array([0.0, 0.0, height]))),),
             PatternSequence.parse(patterns, (rig.projector.width, rig.projector.height)),
-            detector or Detector(),
+            hardware.detector,
             samples=samples,
         )
         transport = trace(scene, seed=seed + k)

@@ -7,6 +7,7 @@ from slbench.patterns.phase import (
     order_error_probability,
     relative_phase,
     unwrap,
+    unwrap_spatially,
 )
 from slbench.patterns.sequence import Frame, PatternSequence
 
@@ -25,4 +26,5 @@ __all__ = [
     "panel_response",
     "relative_phase",
     "unwrap",
+    "unwrap_spatially",
 ]

@@ -27,6 +27,7 @@ from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from skimage.restoration import unwrap_phase
 
 from slbench.errors import InputError
 
@@ -155,6 +156,47 @@ def unwrap(
     phase = np.asarray(phi, dtype=np.float64)
     expected = fringes / reference_fringes * np.asarray(reference, dtype=np.float64)
     return 2.0 * pi * np.floor((expected - phase) / (2.0 * pi) + 0.5) + phase
+
+
+def unwrap_spatially(phase: ArrayLike, mask: ArrayLike | None = None) -> FloatArray:
+    """Unwrap one relative phase map by its neighbourhoods, most reliable pixels first.
+
+    The baseline that active unwrapping is compared with: it needs one fringe set only, but
+    takes a step of more than half a fringe for a smaller one, and knows the absolute phase up
+    to a multiple of 2 pi, one for each connected region.  (Herraez et al., Applied Optics
+    41(35), 2002; thesis ch. 2 [55, 57].  The work is scikit-image's.)
+
+    Parameters
+    ----------
+    phase : (V, U) array_like
+        Relative phase, rad.
+    mask : (V, U) array_like of bool, optional
+        True where the phase is valid; all finite pixels by default.
+
+    Returns
+    -------
+    (V, U) float64
+        Phase without jumps, NaN outside the mask.
+
+    Raises
+    ------
+    InputError
+        If the phase is no image, the mask of another shape, or nothing is valid.
+    """
+    relative = np.asarray(phase, dtype=np.float64)
+    if relative.ndim != 2 or relative.size == 0:
+        raise InputError("unwrap_spatially: phase", "shape (V, U)", relative.shape)
+    valid = np.isfinite(relative)
+    if mask is not None:
+        given = np.asarray(mask, dtype=bool)
+        if given.shape != relative.shape:
+            raise InputError("unwrap_spatially: mask", f"shape {relative.shape}", given.shape)
+        valid &= given
+    if not valid.any():
+        raise InputError("unwrap_spatially: mask", "at least one valid pixel", "none")
+    hidden = np.ma.masked_array(np.where(valid, relative, 0.0), mask=~valid)
+    # A fixed seed for the library's tie-breaking: the same input, the same output.
+    return np.where(valid, np.ma.getdata(unwrap_phase(hidden, rng=0)), np.nan)
 
 
 def order_error_probability(
