@@ -38,7 +38,7 @@ def rotation_yx(alpha: ArrayLike, beta: ArrayLike) -> Array:
     a, b = np.broadcast_arrays(np.asarray(alpha, np.float64), np.asarray(beta, np.float64))
     ca, sa, cb, sb = np.cos(a), np.sin(a), np.cos(b), np.sin(b)
     rows = [[ca, sa * sb, sa * cb], [np.zeros_like(ca), cb, -sb], [-sa, ca * sb, ca * cb]]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ def ok(*arguments):
 @pytest.fixture
 def no_picture(monkeypatch):
     """Do not draw the summary, which takes longer than a small scan."""
-    monkeypatch.setattr("slbench.scan.summary", lambda _, path: path.write_bytes(b"picture"))
+    monkeypatch.setattr("slbench.scanfolder.summary", lambda _, path: path.write_bytes(b"picture"))
 
 
 @pytest.fixture(scope="module")
