@@ -39,8 +39,9 @@ def new_app(help_text: str, name: str | None = None) -> typer.Typer:
 
 def check_folder(path: Path) -> None:
     """Refuse a folder to write to that is a file, before the work that fills it is done."""
-    if path.exists() and not path.is_dir():
-        raise InputError("--out", "a folder", f"{path}, a file")
+    there = next(p for p in (path, *path.absolute().parents) if p.exists())
+    if not there.is_dir():
+        raise InputError("--out", "a folder", f"{there}, a file")
 
 
 @contextmanager

@@ -145,6 +145,8 @@ def decode(
     from slbench.rig.opencv import read_rig
     from slbench.scanfolder import write_cloud
 
+    target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
+    check_folder(target)
     shots = Capture.load(folder)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig))
@@ -163,7 +165,6 @@ def decode(
         "points": None,
         "predicted_sigma_mm": None,
     }
-    target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
     with atomic_folder(target) as temporary:
         write_exr(temporary / "phase.exr", {k: v.astype(np.float32) for k, v in channels.items()})
         if shots.rig is not None:

@@ -132,7 +132,9 @@ def cluster(unit: ArrayLike, seed: int = 0, max_clusters: int = 20) -> Clusters:
         # One thread: on a front's few thousand points the others cost up to fifty times what
         # they save, and the order of their sums would depend on how many there are.
         with threadpool_limits(1):
-            means = KMeans(n_clusters=count, n_init=_STARTS, random_state=seed).fit(points)
+            # Its seeds have 32 bits.
+            means = KMeans(n_clusters=count, n_init=_STARTS, random_state=seed % 2**32)
+            means.fit(points)
         partitions.append(means.labels_.astype(np.int64))
         r_squared.append(_explained(points, means.labels_))
         index.append(float(davies_bouldin_score(points, means.labels_)))

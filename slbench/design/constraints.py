@@ -246,7 +246,7 @@ def feasible_sample(hardware: Hardware, n: int, seed: int = 0) -> Array:
         found = np.vstack((found, rows[np.all(margins(hardware, rows) > 0, axis=1)]))
         if len(found) >= n:
             return found[:n]
-    got = f"{len(found)}; {diagnose(hardware)}"
+    got = str(len(found)) if len(found) else f"none; {diagnose(hardware)}"
     raise InputError("hardware", f"{n} feasible configurations among 131072 drawn", got)
 
 

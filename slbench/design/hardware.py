@@ -10,7 +10,6 @@ Files: the ``[camera]``, ``[projector]`` and ``[rig]`` tables of a scene, and ``
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from pydantic import Field
 from slbench import resources
 from slbench.detector import Detector
 from slbench.errors import InputError
+from slbench.io import read_table
 from slbench.rig import (
     Camera,
     DesignVariables,
@@ -277,30 +277,7 @@ def read_configurations(path: str | Path) -> Array:
         If the file is missing or empty, a column is missing or unknown, or a cell is not a
         finite number, with its line.
     """
-    header = ",".join(VARIABLES)
-    try:
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        raise InputError(path, "a CSV file of configurations", error) from None
-    lines = list(csv.reader(text.splitlines()))
-    names = [name.strip() for name in lines[0]] if lines else []
-    if sorted(names) != sorted(VARIABLES):
-        raise InputError(f"{path}: line 1", f"the header {header}", ",".join(names)[:80] or "none")
-    rows = []
-    for number, cells in enumerate(lines[1:], start=2):
-        if not any(cell.strip() for cell in cells):
-            continue
-        try:
-            values = dict(zip(names, map(float, cells), strict=True))
-        except ValueError:
-            values = {}
-        if not values or not np.all(np.isfinite(list(values.values()))):
-            found = ",".join(cells)[:80]
-            raise InputError(f"{path}: line {number}", "six finite numbers", found)
-        rows.append([values[name] for name in VARIABLES])
-    if not rows:
-        raise InputError(path, "at least one configuration", "none")
-    result = np.array(rows)
+    result = read_table(path, VARIABLES)
     result[:, 4:] = np.deg2rad(result[:, 4:])
     return result
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 from pathlib import Path
 from typing import Any
@@ -17,7 +15,7 @@ from slbench.design.evaluate import Evaluation
 from slbench.design.hardware import VARIABLES
 from slbench.design.optimise import OBJECTIVES, RigDesign
 from slbench.figures import draw_rig
-from slbench.io import atomic_folder, atomic_path, write_provenance, write_toml
+from slbench.io import atomic_folder, atomic_path, write_provenance, write_table, write_toml
 
 Array = NDArray[np.float64]
 
@@ -103,18 +101,23 @@ def _degrees(x: Array) -> Array:
 
 
 def _write_csv(path: Path, design: RigDesign, members: NDArray, clusters: NDArray) -> None:
-    stream = io.StringIO()
-    table = csv.writer(stream, lineterminator="\n")
-    table.writerow(["member", "cluster", "recommended", *VARIABLES, *_METRICS, *design.objectives])
     rows, metrics = _degrees(design.front.x), design.evaluation.rows()
     recommended = design.member()
-    for member, cluster in zip(members, clusters, strict=True):
-        numbers = [*rows[member], *(metrics[member][name] for name in _METRICS)]
-        numbers += list(design.front.f[member])
-        cells = [f"{float(number):.9g}" for number in numbers]
-        table.writerow([member, cluster, int(member == recommended), *cells])
-    with atomic_path(path) as temporary:
-        temporary.write_text(stream.getvalue())
+    write_table(
+        path,
+        ["member", "cluster", "recommended", *VARIABLES, *_METRICS, *design.objectives],
+        (
+            [
+                member,
+                cluster,
+                int(member == recommended),
+                *rows[member],
+                *(metrics[member][name] for name in _METRICS),
+                *design.front.f[member],
+            ]
+            for member, cluster in zip(members, clusters, strict=True)
+        ),
+    )
 
 
 def _draw_front(design: RigDesign, path: Path, marked: Evaluation | None) -> None:

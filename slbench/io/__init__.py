@@ -1,4 +1,4 @@
-"""Low-level files: EXR, PNG, PLY, NPZ, JSON, TOML, OpenCV YAML, and provenance.
+"""Low-level files: EXR, PNG, PLY, NPZ, CSV, JSON, TOML, OpenCV YAML, and provenance.
 
 One reader and one writer a format, each a thin layer over the library that owns it.  What
 the layer adds is the same for all: writing is atomic, and a file that is missing, corrupt or
@@ -11,6 +11,7 @@ from slbench.io.atomic import atomic_folder, atomic_path
 from slbench.io.images import read_exr, read_grey, write_exr, write_png
 from slbench.io.opencv_yaml import read_opencv_yaml, write_opencv_yaml
 from slbench.io.origin import provenance, write_provenance
+from slbench.io.tables import read_table, write_table
 from slbench.io.text import plain, read_json, read_toml, write_json, write_toml
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "read_npz",
     "read_opencv_yaml",
     "read_ply",
+    "read_table",
     "read_toml",
     "write_exr",
     "write_json",
@@ -32,5 +34,6 @@ __all__ = [
     "write_ply",
     "write_png",
     "write_provenance",
+    "write_table",
     "write_toml",
 ]

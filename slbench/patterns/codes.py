@@ -23,6 +23,8 @@ Axis = Literal["u", "v"]
 
 AXES: tuple[Axis, Axis] = ("u", "v")
 MIN_SHIFTS = 3
+#: More frames than memory holds are a slip, and refused before they are asked for.
+MAX_SHIFTS = 1000
 
 
 def require_whole(where: str, value: object, least: int) -> None:
@@ -46,14 +48,14 @@ class Fringes:
     count : int
         Number n of fringes across the panel, at least 1.
     shifts : int
-        Number N of frames, shifted by 2 pi / N each, at least 3.
+        Number N of frames, shifted by 2 pi / N each, 3 to 1000.
     axis : {"u", "v"}
         Panel axis along which the fringes vary.
 
     Raises
     ------
     InputError
-        For a count below 1, fewer than three shifts or an unknown axis.
+        For a count below 1, fewer than three shifts or too many, or an unknown axis.
     """
 
     count: int
@@ -63,6 +65,8 @@ class Fringes:
     def __post_init__(self) -> None:
         require_whole("Fringes: count", self.count, 1)
         require_whole("Fringes: shifts", self.shifts, MIN_SHIFTS)
+        if self.shifts > MAX_SHIFTS:
+            raise InputError("Fringes: shifts", f"at most {MAX_SHIFTS}", self.shifts)
         require_axis("Fringes: axis", self.axis)
 
     def n_frames(self, size: int) -> int:

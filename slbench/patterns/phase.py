@@ -22,11 +22,12 @@ the phase, provided that the fringe order is right (:func:`order_error_probabili
 """
 
 from dataclasses import dataclass
-from math import erfc, pi, sqrt
+from math import pi, sqrt
 from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import erfc
 from skimage.restoration import unwrap_phase
 
 from slbench.errors import InputError
@@ -183,9 +184,14 @@ def unwrap_spatially(phase: ArrayLike, mask: ArrayLike | None = None) -> FloatAr
     InputError
         If the phase is no image, the mask of another shape, or nothing is valid.
     """
-    relative = np.asarray(phase, dtype=np.float64)
-    if relative.ndim != 2 or relative.size == 0:
-        raise InputError("unwrap_spatially: phase", "shape (V, U)", relative.shape)
+    try:
+        relative = np.asarray(phase)
+    except ValueError:  # rows of different lengths
+        relative = np.empty(0)
+    if relative.ndim != 2 or min(relative.shape) < 2 or relative.dtype.kind not in "uif":
+        got = f"{relative.shape} {relative.dtype}"
+        raise InputError("unwrap_spatially: phase", "real numbers (V, U), 2 x 2 or more", got)
+    relative = relative.astype(np.float64)
     valid = np.isfinite(relative)
     if mask is not None:
         given = np.asarray(mask, dtype=bool)
@@ -199,9 +205,17 @@ def unwrap_spatially(phase: ArrayLike, mask: ArrayLike | None = None) -> FloatAr
     return np.where(valid, np.ma.getdata(unwrap_phase(hidden, rng=0)), np.nan)
 
 
+@overload
 def order_error_probability(
     sigma_reference: float, sigma: float, reference_fringes: float, fringes: float
-) -> float:
+) -> float: ...
+@overload
+def order_error_probability(
+    sigma_reference: ArrayLike, sigma: ArrayLike, reference_fringes: float, fringes: float
+) -> FloatArray | float: ...
+def order_error_probability(
+    sigma_reference: ArrayLike, sigma: ArrayLike, reference_fringes: float, fringes: float
+) -> FloatArray | float:
     """Return the probability that one unwrapping step picks a wrong fringe order.
 
     With Gaussian noise on both phases the order is wrong when an error of variance
@@ -209,9 +223,9 @@ def order_error_probability(
 
     Parameters
     ----------
-    sigma_reference, sigma : float
+    sigma_reference, sigma : float or array_like
         Standard deviations in radians of the reference's absolute phase and of the relative
-        phase that is unwrapped.
+        phase that is unwrapped; arrays broadcast.
     reference_fringes, fringes : float
         Fringe counts n of the reference and m of the set that is unwrapped.
 
@@ -220,11 +234,14 @@ def order_error_probability(
     InputError
         For negative deviations or fringe counts that are not positive.
     """
-    for name, value in (("sigma_reference", sigma_reference), ("sigma", sigma)):
-        if not value >= 0.0:
+    deviations = np.asarray(sigma_reference, np.float64), np.asarray(sigma, np.float64)
+    for name, value in zip(("sigma_reference", "sigma"), deviations, strict=True):
+        if not np.all(value >= 0.0):
             raise InputError(f"order_error_probability: {name}", "a number >= 0", value)
-    for name, value in (("reference_fringes", reference_fringes), ("fringes", fringes)):
-        if not value > 0.0:
-            raise InputError(f"order_error_probability: {name}", "a number > 0", value)
-    s = sqrt((fringes / reference_fringes * sigma_reference) ** 2 + sigma**2)
-    return erfc(pi / (sqrt(2.0) * s)) if s > 0.0 else 0.0
+    for name, count in (("reference_fringes", reference_fringes), ("fringes", fringes)):
+        if not count > 0.0:
+            raise InputError(f"order_error_probability: {name}", "a number > 0", count)
+    s = np.hypot(fringes / reference_fringes * deviations[0], deviations[1])
+    with np.errstate(divide="ignore"):  # no noise: infinitely many deviations away
+        probability = erfc(pi / (sqrt(2.0) * s))
+    return float(probability) if probability.ndim == 0 else probability

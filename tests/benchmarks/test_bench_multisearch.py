@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from front_problems import ALONG, dtlz2, zdt, zdt_shape
 from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.core.problem import Problem
 from pymoo.optimize import minimize as pymoo_minimize
@@ -16,32 +17,7 @@ from slbench.design.multisearch import minimize
 
 pytestmark = pytest.mark.slow  # some 20 000 evaluations many times over
 
-ALONG = np.linspace(0.0, 1.0, 200_001)
 BUDGET = 20_000
-
-
-def zdt(kind, optimum):
-    """ZDT1-3; `optimum` is where x_2.. of the front lie: 0 is a corner, 0.37 no corner."""
-
-    def objectives(x):
-        g = 1.0 + 9.0 * np.abs(x[:, 1:] - optimum).mean(axis=1)
-        return np.stack([x[:, 0], g * shape(kind, x[:, 0], g)], axis=1)
-
-    return objectives
-
-
-def shape(kind, f, g=1.0):
-    if kind == 2:
-        return 1.0 - (f / g) ** 2
-    wave = f / g * np.sin(10.0 * np.pi * f) if kind == 3 else 0.0
-    return 1.0 - np.sqrt(f / g) - wave
-
-
-def dtlz2(x):
-    g = ((x[:, 2:] - 0.5) ** 2).sum(axis=1)
-    a, b = x[:, 0] * np.pi / 2, x[:, 1] * np.pi / 2
-    ball = [np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a)]
-    return (1.0 + g)[:, np.newaxis] * np.stack(ball, axis=1)
 
 
 class Vectorised(Problem):
@@ -87,7 +63,7 @@ def test_beside_nsga2_at_equal_evaluations():
     print("\nproblem        evals   DMS     DMS+search  NSGA-II (5 seeds)        purity D+s/N")
     shares = {}
     for kind in (1, 2, 3):
-        true = hypervolume(np.stack([ALONG, shape(kind, ALONG)], axis=1), [1.1, 1.1])
+        true = hypervolume(np.stack([ALONG, zdt_shape(kind, ALONG)], axis=1), [1.1, 1.1])
         for optimum in (0.0, 0.37):
             f = zdt(kind, optimum)
             for budget in (2000, BUDGET):

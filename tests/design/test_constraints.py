@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from scipy.stats import ks_2samp, qmc
 
 from slbench import resources
 from slbench.design.constraints import (
@@ -17,9 +18,11 @@ from slbench.design.constraints import (
     _local,
     diagnose,
     explain,
+    feasible_sample,
     margins,
 )
 from slbench.design.convex import coverage, separation
+from slbench.design.evaluate import evaluate
 from slbench.design.hardware import load_hardware, read_configurations
 from slbench.errors import InputError
 from slbench.rig import Lens
@@ -347,3 +350,57 @@ def test_diagnosis_finds_the_least_infeasible_point():
 def test_diagnosis_needs_a_sample():
     with pytest.raises(InputError, match="number of configurations"):
         diagnose(MACRO, n=0)
+
+
+# -- feasible configurations --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 7, 1000])
+def test_a_sample_has_as_many_rows_as_asked_and_all_are_feasible(count):
+    # 1000 of 4096 points are more than one round of draws has feasible ones (0.106).
+    rows = feasible_sample(MACRO, count, seed=3)
+    assert rows.shape == (count, 6)
+    assert np.all((rows >= MACRO.lower) & (rows <= MACRO.upper))
+    found = evaluate(MACRO, rows)
+    assert found.feasible.all()
+    assert np.all(found.margins > 0)
+    assert len(np.unique(rows, axis=0)) == count
+
+
+def test_a_sample_is_its_seeds():
+    first = feasible_sample(MACRO, 50, seed=1)
+    np.testing.assert_array_equal(feasible_sample(MACRO, 50, seed=1), first)
+    other = feasible_sample(MACRO, 50, seed=2)
+    assert not np.isin(other, first).any()
+    np.testing.assert_array_equal(feasible_sample(MACRO, 50), feasible_sample(MACRO, 50, seed=0))
+
+
+def test_a_sample_is_even_over_what_is_feasible():
+    rows = feasible_sample(MACRO, 1000, seed=4)
+    # The same region from points that are even by construction, a Sobol sequence's.
+    points = qmc.Sobol(6, rng=np.random.default_rng(5)).random_base2(14)
+    even = qmc.scale(points, MACRO.lower, MACRO.upper)
+    even = even[np.all(margins(MACRO, even) > 0, axis=1)]
+    assert len(even) > 1000
+    # Six Kolmogorov-Smirnov tests: a false alarm of one in a thousand altogether.
+    for name, ours, theirs in zip("zwhlab", rows.T, even.T, strict=True):
+        assert ks_2samp(ours, theirs).pvalue > 1e-3 / 6, name
+    # And it is wide: three quarters of every range.
+    assert np.all(np.ptp(rows, axis=0) > 0.75 * np.subtract(MACRO.upper, MACRO.lower))
+
+
+def test_a_sample_of_hardware_that_cannot_work_is_refused_in_one_line():
+    with pytest.raises(InputError) as error:
+        feasible_sample(replace(MACRO, camera_distance_mm=(5.0, 20.0)), 3)
+    line = str(error.value)
+    assert "\n" not in line
+    assert line.startswith(
+        "hardware: expected 3 feasible configurations among 131072 drawn, got none"
+    )
+    assert "g2: the camera is farther than its longest working distance by " in line
+
+
+@pytest.mark.parametrize("count", [0, -1])
+def test_a_sample_needs_a_number(count):
+    with pytest.raises(InputError, match="number of configurations: expected at least 1"):
+        feasible_sample(MACRO, count)

@@ -11,7 +11,9 @@ from slbench.design.hardware import (
     as_configurations,
     load_hardware,
     read_configurations,
+    thesis_configurations,
 )
+from slbench.detector import Detector
 from slbench.errors import InputError
 from slbench.rig import Camera, DesignVariables, Lens
 from slbench.scenefile import load_scene
@@ -158,6 +160,9 @@ def test_columns_stand_in_any_order(tmp_path):
         ("design = { w_mm = [0.0, -500.0] }", "w_mm"),
         ("design = { width = 1 }", "width"),
         ("designs = 1", "designs"),
+        ("detector = { read_noise_e = -1.0 }", "detector: read_noise_e"),
+        ("detector = { read_noise_e = nan }", "detector.read_noise_e"),
+        ("detector = { pixels = 3 }", "pixels"),
     ],
 )
 def test_refuses_hardware_that_cannot_be(tmp_path, table, message):
@@ -197,3 +202,57 @@ def test_the_microscope_has_what_a_design_needs():
     micro = load_hardware("hardware/micro-ch8")
     assert micro.volume_mm == (0.5, 0.5, 0.5)
     assert micro.camera.body_mm == (34, 34, 120)
+
+
+def test_the_detector_is_the_files():
+    assert MACRO.detector == Detector(
+        bit_depth=8, full_well_e=16000.0, read_noise_e=12.0, quantum_efficiency=0.5, prnu=0.005,
+        dsnu_e=2.0,
+    )  # fmt: skip
+    micro = load_hardware("hardware/micro-ch8").detector
+    assert (micro.full_well_e, micro.read_noise_e, micro.quantum_efficiency) == (1e4, 13.0, 0.4)
+
+
+def test_hardware_and_a_scene_have_the_same_detector(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(
+        'extends = "hardware/macro-ch6"\nname = "other"\n'
+        "detector = { bit_depth = 12, read_noise_e = 40.0, offset_dn = 30.0, seed = 7 }\n"
+        '[[objects]]\nkind = "plane"\nparameters = { size_mm = [10.0, 10.0] }\n'
+    )
+    found = load_hardware(path).detector
+    assert found == load_scene(path).detector
+    assert found == replace(MACRO.detector, bit_depth=12, read_noise_e=40, offset_dn=30, seed=7)
+
+
+# -- the thesis's configurations -----------------------------------------------------------
+
+
+def test_the_thesis_configurations_belong_to_the_thesis_hardware():
+    rows = thesis_configurations(MACRO)
+    assert rows.shape == (18, 6)
+    np.testing.assert_array_equal(rows, read_configurations(TABLE_4))
+
+
+@pytest.mark.parametrize("name", ["hardware/macro-ch7", "hardware/micro-ch8"])
+def test_other_shipped_hardware_has_none_of_them(name):
+    assert thesis_configurations(load_hardware(name)) is None
+
+
+@pytest.mark.parametrize(
+    ("table", "same"),
+    [
+        # Where it may stand and how it is noisy change nothing in the rigs of table 4.
+        ("[design]\nw_mm = [-400.0, 0.0]", True),
+        ("[detector]\nread_noise_e = 40.0", True),
+        ("[rig]\nvolume_mm = [60.0, 70.0, 40.0]", False),
+        ("[camera]\nfocal_length_mm = 25.0", False),
+        ("[camera]\nresolution_px = [320, 240]", False),
+        ("[projector]\npitch_um = 7.6", False),
+        ("[projector]\nbody_mm = [200.0, 55.0, 120.0]", False),
+    ],
+)
+def test_they_belong_to_these_optics_panels_bodies_and_volume(tmp_path, table, same):
+    path = tmp_path / "hardware.toml"
+    path.write_text(f'extends = "hardware/macro-ch6"\n{table}\n')
+    assert (thesis_configurations(load_hardware(path)) is not None) == same

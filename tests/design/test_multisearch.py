@@ -8,6 +8,7 @@ import itertools
 
 import numpy as np
 import pytest
+from front_problems import ALONG, dtlz2, zdt, zdt_shape
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,36 +16,9 @@ from slbench.design.front import Front, hypervolume
 from slbench.design.multisearch import DirectMultiSearch, minimize
 from slbench.errors import InputError
 
-ALONG = np.linspace(0.0, 1.0, 200_001)
-
 
 def schaffer(x):
     return np.stack([x[:, 0] ** 2, (x[:, 0] - 2.0) ** 2], axis=1)
-
-
-def zdt(kind, optimum=0.0):
-    """ZDT1-3 (Zitzler, Deb, Thiele 2000); `optimum` moves x_2.. of the front off the bounds."""
-
-    def objectives(x):
-        g = 1.0 + 9.0 * np.abs(x[:, 1:] - optimum).mean(axis=1)
-        return np.stack([x[:, 0], g * zdt_shape(kind, x[:, 0], g)], axis=1)
-
-    return objectives
-
-
-def zdt_shape(kind, f, g=1.0):
-    if kind == 2:
-        return 1.0 - (f / g) ** 2
-    wave = f / g * np.sin(10.0 * np.pi * f) if kind == 3 else 0.0
-    return 1.0 - np.sqrt(f / g) - wave
-
-
-def dtlz2(x):
-    """DTLZ2 (Deb, Thiele, Laumanns, Zitzler 2002) with three objectives."""
-    g = ((x[:, 2:] - 0.5) ** 2).sum(axis=1)
-    a, b = x[:, 0] * np.pi / 2, x[:, 1] * np.pi / 2
-    shape = [np.cos(a) * np.cos(b), np.cos(a) * np.sin(b), np.sin(a)]
-    return (1.0 + g)[:, np.newaxis] * np.stack(shape, axis=1)
 
 
 def staircase(x):

@@ -183,7 +183,11 @@ SCAN = {
     "bad axes": (scene, ["--axes", "w"], "axes"),
     "no samples": (scene, ["--spp", 0], "spp"),
     "samples in words": (scene, ["--spp", "many"], "spp"),
+    "endless samples": (scene, ["--spp", "inf"], "spp"),
+    "steps that are no number": (scene, ["--steps", "nan"], "steps"),
     "negative seed": (scene, ["--seed", -1], "seed"),
+    "half a seed": (scene, ["--seed", "0.5"], "seed"),
+    "amount of noise": (scene, ["--noise", "nan"], "nan"),
     "unknown option": (scene, ["--patern", "1"], "--patern"),
     "option without its value": (scene, ["--patterns"], "--patterns"),
     "one argument more": (scene, ["more"], "more"),
@@ -280,6 +284,9 @@ DECODE = {
     "empty rig": (lambda f: with_file(capture(f, rig="rig.yaml"), "rig.yaml", b""), [], "rig.yaml"),
     "rig option missing": (capture, ["--rig", "gone.yaml"], "gone.yaml"),
     "negative modulation": (capture, ["--min-modulation", -1], "min-modulation"),
+    "modulation that is no number": (capture, ["--min-modulation", "nan"], "min-modulation"),
+    "endless modulation": (capture, ["--min-modulation", "inf"], "min_modulation"),
+    "modulation beyond all numbers": (capture, ["--min-modulation", "1e400"], "min_modulation"),
     "unknown option": (capture, ["--spp", 3], "--spp"),
 }
 
@@ -357,6 +364,25 @@ def test_an_output_that_is_a_file_is_refused_and_kept(command, tmp_path):
     outcome = run_cli(command, source, "--out", tmp_path / "out")
     check(outcome, "a folder", tmp_path, before)
     assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("command", "make", "work"),
+    [("scan", scene, "slbench.scan.scan"), ("decode", capture, "slbench.capture.Capture.load")],
+)
+def test_an_output_that_is_a_file_is_refused_before_the_work(
+    command, make, work, tmp_path, monkeypatch
+):
+    def unexpected(*args, **kwargs):
+        raise AssertionError("the work was begun")
+
+    monkeypatch.setattr(work, unexpected)
+    (tmp_path / "work").mkdir()
+    source = make(tmp_path / "work")
+    (tmp_path / "out").write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    outcome = run_cli(command, source, "--out", tmp_path / "out")
+    check(outcome, "--out", tmp_path, before)
 
 
 def test_an_output_inside_a_file_is_refused(tmp_path):

@@ -1,4 +1,4 @@
-"""``slbench design evaluate`` and ``design rig``, from the command line to the files."""
+"""``slbench design evaluate``, ``rig`` and ``verify``, from the command line to the files."""
 
 import csv
 import json
@@ -9,6 +9,7 @@ import pytest
 from scenes_small import run_cli
 
 from slbench import resources
+from slbench.design.constraints import feasible_sample, margins
 from slbench.design.evaluate import evaluate
 from slbench.design.front import Front
 from slbench.design.hardware import VARIABLES, load_hardware, read_configurations
@@ -112,7 +113,7 @@ def test_evaluate_keeps_the_order_and_names_what_fails(tmp_path):
         ("", ("line 1", "none")),
         ("a,b\n1,2\n", ("line 1", "z_ref_mm,w_mm")),
         (",".join(VARIABLES), ("at least one",)),
-        (",".join(VARIABLES) + "\n1,2,3\n", ("line 2", "six finite numbers")),
+        (",".join(VARIABLES) + "\n1,2,3\n", ("line 2", "6 finite numbers")),
         (",".join(VARIABLES) + "\n1,2,3,4,nan,6\n", ("line 2", "nan")),
         (",".join(VARIABLES) + "\n1,2,3,4,five,6\n", ("line 2", "five")),
     ],
@@ -256,16 +257,126 @@ def test_hardware_that_cannot_work_is_refused_in_one_line(tmp_path, text, words)
         ("--objectives", "error,error"),
         ("--objectives", ""),
         ("--evaluations", 0),
+        ("--evaluations", "nan"),
         ("--max-footprint-mm", -1),
+        ("--max-footprint-mm", "nan"),
+        ("--max-footprint-mm", "inf"),
         ("--min-angle-deg", "nan"),
+        ("--min-angle-deg", "-inf"),
         ("--pick", -1),
+        ("--pick", "nan"),
         ("--seed", -1),
+        ("--seed", "1.5"),
     ],
 )
 def test_bad_options_are_refused_in_one_line(tmp_path, arguments):
     out = tmp_path / "out"
     check_refused(run_cli("design", "rig", NAME, "--out", out, *arguments))
     assert not out.exists()
+
+
+# -- verify ------------------------------------------------------------------------------------
+
+#: The same fields of view with four times the pixels' size, for scans of a tenth of a second.
+SMALL = """
+camera = { resolution_px = [160, 120], pitch_um = 29.6 }
+projector = { resolution_px = [160, 120], pitch_um = 43.2 }
+"""
+
+
+@pytest.fixture(scope="module")
+def verified(tmp_path_factory):
+    """A hardware file, the folder of its verification without a list, and what was printed."""
+    folder = tmp_path_factory.mktemp("verify")
+    path = hardware_file(folder, SMALL)
+    arguments = ("--count", 3, "--spp", 1, "--seed", 5, "--out", folder / "out", "--json")
+    outcome = run_cli("design", "verify", path, *arguments)
+    assert outcome.status == 0, outcome.err
+    return path, folder / "out", outcome
+
+
+def test_verify_draws_feasible_rigs_where_none_are_given(verified):
+    path, out, outcome = verified
+    assert {p.name for p in out.iterdir()} == {"verify.json", "verify.png", "provenance.json"}
+    assert cv2.imread(str(out / "verify.png")).std() > 5  # not a blank sheet
+    assert outcome.out.count("\n") == 1
+    result = json.loads(outcome.out)
+    assert result.pop("out") == str(out)
+    assert json.loads((out / "verify.json").read_text()) == result
+    rows = np.array(result["configurations"])
+    assert rows.shape == (3, 6)
+    rows[:, 4:] = np.deg2rad(rows[:, 4:])
+    hardware = load_hardware(path)
+    assert np.all(margins(hardware, rows) > 0)
+    # Degrees and back: rounding of angles alone.
+    np.testing.assert_allclose(rows, feasible_sample(hardware, 3, seed=5), rtol=1e-14)
+    np.testing.assert_allclose(result["predicted_mm"], evaluate(hardware, rows).mu_mm, rtol=1e-9)
+    assert np.all(np.array(result["rendered_z_mm"]) <= result["rendered_mm"])
+    assert np.all(np.array(result["rendered_z_mm"]) > 0)
+    assert -1 <= result["rank_correlation"] <= 1
+    assert json.loads((out / "provenance.json").read_text())["seed"] == 5
+
+
+def test_verify_takes_the_rigs_it_is_given(verified, tmp_path):
+    path, _, outcome = verified
+    drawn = json.loads(outcome.out)
+    table = tmp_path / "rigs.csv"
+    lines = [",".join(map(repr, row)) for row in drawn["configurations"]]
+    table.write_text("\n".join([",".join(VARIABLES), *lines]))
+    arguments = ("--spp", 1, "--seed", 5, "--out", tmp_path / "out")
+    given = run_cli("design", "verify", path, table, *arguments)
+    assert given.status == 0, given.err
+    assert len(given.out.splitlines()) == 4  # a line a rig, and the correlation
+    result = json.loads((tmp_path / "out" / "verify.json").read_text())
+    # The same rigs and the same seed; the angles went to degrees and back once more.
+    for name in ("predicted_mm", "rendered_mm"):
+        np.testing.assert_allclose(result[name], drawn[name], rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--count", 2),  # three are the fewest that have ranks to compare
+        ("--count", "nan"),
+        ("--spp", 0),
+        ("--spp", "inf"),
+        ("--seed", -1),
+        ("--patterns", "nan"),
+        ("--patterns", ""),
+    ],
+)
+def test_bad_options_of_verify_are_refused_in_one_line(tmp_path, arguments):
+    out = tmp_path / "out"
+    check_refused(
+        run_cli("design", "verify", hardware_file(tmp_path, SMALL), "--out", out, *arguments)
+    )
+    assert not out.exists()
+
+
+def test_verify_of_hardware_that_cannot_work_is_refused_in_one_line(tmp_path):
+    path = hardware_file(tmp_path, "[design]\ncamera_working_distance_mm = [50.0, 100.0]")
+    outcome = run_cli("design", "verify", path, "--out", tmp_path / "out")
+    check_refused(outcome, "24 feasible configurations", "got none", "g2", "camera", " mm")
+    assert not (tmp_path / "out").exists()
+
+
+# -- all of them -------------------------------------------------------------------------------
+
+
+def unexpected(*args, **kwargs):
+    raise AssertionError("the work was begun")
+
+
+@pytest.mark.parametrize("command", ["rig", "verify"])
+def test_an_output_that_is_a_file_is_refused_at_once_and_kept(command, tmp_path, monkeypatch):
+    monkeypatch.setattr("slbench.design.optimise.optimise", unexpected)
+    monkeypatch.setattr("slbench.design.constraints.feasible_sample", unexpected)
+    monkeypatch.setattr("slbench.design.verify.verify", unexpected)
+    out = tmp_path / "out"
+    out.write_text("mine")
+    check_refused(run_cli("design", command, NAME, "--out", out), "--out", "a folder", "a file")
+    assert list(tmp_path.iterdir()) == [out]
+    assert out.read_text() == "mine"
 
 
 @pytest.mark.parametrize("command", ["evaluate", "rig", "verify"])
