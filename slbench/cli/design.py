@@ -1,4 +1,4 @@
-"""``slbench design rig`` and ``design evaluate``."""
+"""``slbench design evaluate``, ``rig`` and ``verify``; ``patterns`` joins them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import typer
 from rich.table import Table
 
 from slbench import resources
+from slbench.cli import patterns
 from slbench.cli.common import (
     Json,
     Seed,
@@ -20,7 +21,8 @@ from slbench.cli.common import (
     progress,
 )
 
-app = new_app("Design of structured-light systems: rigs.")
+app = new_app("Design of structured-light systems: rigs and pattern sequences.")
+app.command(epilog=f"Example: {patterns.EXAMPLE}")(patterns.patterns)
 
 HardwareName = Annotated[
     str, typer.Argument(help="A hardware file, or the name of a shipped one: hardware/macro-ch6.")

@@ -41,7 +41,8 @@ class PhaseNoise:
     fringes : (k,) int
         Fringe counts, ascending.
     sigma_rad : (k, m) float
-        Positive; infinite where the phase could not be measured.
+        Positive, at most pi (noise that fills the circle has 1.8); infinite where the phase
+        could not be measured.
     z_mm : (m,) float
         Heights.
     shifts : int
@@ -64,16 +65,18 @@ class PhaseNoise:
         shape = (len(self.fringes), len(self.z_mm))
         if self.sigma_rad.shape != shape or shape[1] == 0:
             raise InputError("phase noise: sigma_rad", f"shape {shape}", self.sigma_rad.shape)
-        if not np.all(self.sigma_rad > 0.0):
-            raise InputError("phase noise: sigma_rad", "positive numbers (rad)", "others")
+        finite = self.sigma_rad[np.isfinite(self.sigma_rad)]
+        if not (np.all(self.sigma_rad > 0.0) and np.all(finite <= pi)):
+            expected = "positive numbers (rad), at most pi unless infinite"
+            raise InputError("phase noise: sigma_rad", expected, "others")
         if self.fringes[0] < 1:
             raise InputError("phase noise: fringes", "counts of at least 1", self.fringes[0])
 
     @classmethod
     def constant(cls, sigma_rad: float, fringes: Iterable[int], shifts: int = 3) -> PhaseNoise:
         """Return the same noise for all `fringes`, at one height."""
-        if not (np.isfinite(sigma_rad) and sigma_rad > 0.0):
-            raise InputError("noise", "a positive number (rad)", sigma_rad)
+        if not 0.0 < sigma_rad <= pi:
+            raise InputError("noise", "a positive number (rad), at most pi", sigma_rad)
         counts = np.array(sorted(set(fringes)), np.int64)
         return cls(counts, np.full((len(counts), 1), float(sigma_rad)), np.zeros(1), shifts)
 
@@ -91,8 +94,10 @@ class PhaseNoise:
             raise InputError(path, "finite fringes and heights", "others")
         if np.any(rows[:, 0] != np.rint(rows[:, 0])) or np.any(rows[:, 0] < 1):
             raise InputError(f"{path}: fringes", "whole numbers >= 1", "others")
-        if not np.all(rows[:, 2] > 0.0):
-            raise InputError(f"{path}: sigma_rad", "positive numbers (inf: not measured)", "others")
+        finite = rows[np.isfinite(rows[:, 2]), 2]
+        if not (np.all(rows[:, 2] > 0.0) and np.all(finite <= pi)):
+            expected = "positive numbers (rad), at most pi, or inf where none was measured"
+            raise InputError(f"{path}: sigma_rad", expected, "others")
         counts, which = np.unique(rows[:, 0], return_inverse=True)
         heights, where = np.unique(rows[:, 1], return_inverse=True)
         sigma = np.full((len(counts), len(heights)), np.nan)

@@ -178,7 +178,8 @@ def noise_of_scene(
     Returns
     -------
     PhaseNoise
-        Infinite where half of the pixels have less modulation than the decoder accepts.
+        Infinite where defocus has washed the fringes out (less modulation than the decoder
+        accepts, on average) or has reversed their contrast, so that they mislead.
 
     Raises
     ------
@@ -197,7 +198,9 @@ def noise_of_scene(
     for j, height in enumerate(heights):
         plate = plate_scene(scene, height)
         transport = trace(plate, ("u",), seed=seed + j)
-        pixels = _chosen(ground_truth(plate), seed)
+        truth = ground_truth(plate)
+        pixels = _chosen(truth, seed)
+        turns = (truth.panel[..., 0].ravel()[pixels] + 0.5) / transport.panel[0]
         if len(pixels) == 0:
             raise InputError("plate", f"lit and in view at z = {height:g} mm", "nothing")
 
@@ -217,8 +220,11 @@ def noise_of_scene(
         )
         if np.isnan(phases).any(axis=(0, 1)).all():
             raise InputError("plate", f"not saturated at z = {height:g} mm", "saturated")
-        for k in range(len(fringes)):
-            if np.median(modulation[k]) >= _MIN_MODULATION:
+        for k, n in enumerate(fringes):
+            # In step with the true phase: noise has no such modulation, and beyond a zero of the
+            # lens's transfer function it is negative, as the fringes are half a period off.
+            in_step = modulation[k] * np.cos(phases[:, k] - 2.0 * np.pi * n * turns)
+            if np.nanmean(in_step) >= _MIN_MODULATION:
                 sigma[k, j] = estimate_noise(phases[:, k]).sigma_rad
     return PhaseNoise(np.array(fringes, np.int64), sigma, heights, shifts)
 

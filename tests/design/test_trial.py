@@ -1,0 +1,214 @@
+"""Pattern designs against rendered scans: noise, order errors, defocus."""
+
+from dataclasses import replace
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+
+from slbench.capture import capture
+from slbench.design.bounded import bounded_sequence
+from slbench.design.fringes import candidates, predict, thesis_sequence
+from slbench.design.noise import PhaseNoise
+from slbench.design.trial import (
+    noise_of_scene,
+    plate_scene,
+    repeated_phases,
+    scan_repeatedly,
+)
+from slbench.errors import InputError
+from slbench.patterns import PatternSequence, unwrap
+from slbench.render.groundtruth import ground_truth
+from slbench.render.trace import trace
+from slbench.scenefile import load_scene
+
+REPEATS = 12
+
+
+def with_detector(scene, **values):
+    return replace(scene, detector=replace(scene.detector, **values))
+
+
+def with_projector_lens(scene, **values):
+    projector = scene.rig.projector
+    lens = replace(projector.lens, **values)
+    return replace(scene, rig=replace(scene.rig, projector=replace(projector, lens=lens)))
+
+
+@pytest.fixture(scope="module")
+def block():
+    return load_scene("step-block", preview=True)
+
+
+@pytest.fixture(scope="module")
+def grainy(block):
+    """The step block with so much noise that careless sequences mistake orders."""
+    return with_detector(block, full_well_e=1200.0, read_noise_e=20.0)
+
+
+@pytest.fixture(scope="module")
+def grainy_noise(grainy):
+    width = grainy.rig.projector.width
+    return noise_of_scene(grainy, candidates(width), repeats=REPEATS)
+
+
+# -- the estimate -------------------------------------------------------------------------
+
+
+def test_noise_of_a_scene_is_that_of_its_detector(block):
+    # A plate in the focus of both lenses: sigma = sqrt(2 / N) sigma_I / b with the variance
+    # and the modulation of its own frames (patterns/phase.py), which the decoder predicts.
+    found = noise_of_scene(block, [1, 4, 16], z_mm=[0.0], repeats=REPEATS, shifts=4)
+    plate = plate_scene(block, 0.0)
+    panel = (block.rig.projector.width, block.rig.projector.height)
+    plate = replace(plate, sequence=PatternSequence.parse("1,4,16@4", panel))
+    shots = capture(plate, trace(plate, ("u",)), seed=5)
+    smooth = ground_truth(plate).smooth()
+    sigma = shots.decode().sigma["u"][smooth] * 2 * np.pi * 16 / panel[0]
+    predicted = np.sqrt(np.nanmean(sigma**2))
+    # The estimate's own standard error is below 0.2 %; rounding and the spread of fixed
+    # pattern over pixels are no part of the prediction.
+    np.testing.assert_allclose(found.sigma_rad[2, 0], predicted, rtol=0.02)
+    np.testing.assert_allclose(found.sigma_rad[:, 0], predicted, rtol=0.04)
+    assert found.shifts == 4
+
+
+def test_vibration_is_part_of_the_noise(block):
+    shaken = replace(block, exposure=replace(block.exposure, vibration_px=0.2))
+    still = noise_of_scene(block, [1, 64], z_mm=[0.0], repeats=6).sigma_rad[:, 0]
+    moved = noise_of_scene(shaken, [1, 64], z_mm=[0.0], repeats=6).sigma_rad[:, 0]
+    # A shift of 0.2 px matters where a fringe is ten camera pixels wide, not where it is 600.
+    assert moved[0] < 1.2 * still[0]
+    assert moved[1] > 2.0 * still[1]
+
+
+def test_fringes_that_defocus_washes_out_or_reverses_are_not_measured(block):
+    # Focused at half the distance: the contrast of 32 fringes is reversed.
+    blurred = with_projector_lens(block, focus_distance_mm=400.0)
+    assert noise_of_scene(blurred, [1, 8, 32], z_mm=[0.0], repeats=4).measurable() == [1, 8]
+    # At a fifth, through the full aperture, that of 64 is below one part in a hundred.
+    gone = with_projector_lens(block, focus_distance_mm=160.0, aperture_radius_mm=14.0)
+    assert noise_of_scene(gone, [1, 64], z_mm=[0.0], repeats=4).measurable() == [1]
+
+
+def test_repeated_phases_are_those_of_whole_frames(block):
+    plate = plate_scene(block, 0.0)
+    transport = trace(plate, ("u",))
+    pixels = np.flatnonzero(ground_truth(plate).smooth())
+    phases, modulation = repeated_phases(plate, transport, [1, 8], pixels, repeats=2)
+    coordinate = (np.mod(phases[:, 0], 2 * np.pi) / (2 * np.pi)) * transport.panel[0] - 0.5
+    true = ground_truth(plate).panel[..., 0].ravel()[pixels]
+    # The noise of one fringe is 1.2 px here; five deviations of the mean of thousands.
+    np.testing.assert_allclose(np.median(coordinate - true), 0.0, atol=0.1)
+    assert phases.shape == (2, 2, len(pixels))
+    assert modulation.shape == (2, len(pixels))
+    assert np.all(modulation > 10.0)
+
+
+# -- scans against predictions ------------------------------------------------------------
+
+
+def test_scans_of_the_step_block_keep_what_the_design_predicts(grainy, grainy_noise):
+    width = grainy.rig.projector.width
+    designed = thesis_sequence(width, grainy_noise)
+    others = [predict(width, grainy_noise, counts) for counts in ((1, 2, 4), (1, 2, 4, 8, 16))]
+    designs = [designed, *others]
+    trials = scan_repeatedly(grainy, designs, repeats=15, seed=3)
+    for design, trial in zip(designs, trials, strict=True):
+        assert trial.fringes == design.fringes
+        assert trial.repeats == 15
+        assert trial.pixels > 5000
+        # No order errors predicted, and none seen: 15 scans of thousands of pixels.
+        assert design.order_error_probability < 1e-6
+        assert trial.order_error_rate == 0.0
+        # Within 10 %: the block's chamfers are lit less than the plate that the noise is from.
+        assert trial.std_px == pytest.approx(trial.predicted_px, rel=0.10)
+        # With each pixel's own modulation it is nearer; 2 % is what rounding to whole digital
+        # numbers and the linearised phase leave.
+        assert trial.std_px == pytest.approx(trial.expected_px, rel=0.03)
+    ratio = trials[1].std_px / trials[0].std_px
+    assert ratio == pytest.approx(others[0].sigma_px / designed.sigma_px, rel=0.1)
+
+
+def test_order_errors_come_as_often_as_predicted(grainy, grainy_noise):
+    width = grainy.rig.projector.width
+    careless = [predict(width, grainy_noise, (1, n)) for n in (40, 64, 80)]
+    trials = scan_repeatedly(grainy, careless, repeats=6, seed=11)
+    for design, trial in zip(careless, trials, strict=True):
+        assert design.order_error_probability > 0.01
+        # Frequent enough to count: some hundred errors at least.  A deviation of 3 % in the
+        # noise changes probabilities of this size by 10 %.
+        assert trial.order_error_rate * trial.pixels * trial.repeats > 100
+        assert trial.order_error_rate == pytest.approx(trial.expected_order_error_rate, rel=0.15)
+        assert trial.std_px == pytest.approx(trial.expected_px, rel=0.1)
+
+
+def test_a_bound_on_order_errors_holds_where_the_single_step_breaks_it(grainy, grainy_noise):
+    width = grainy.rig.projector.width
+    safe = bounded_sequence(width, grainy_noise, max_probability=1e-6)
+    assert len(safe.steps) >= 2
+    (trial,) = scan_repeatedly(grainy, [safe], repeats=8, seed=2)
+    assert trial.order_error_rate < 1e-5
+    assert trial.std_px == pytest.approx(safe.sigma_px, rel=0.10)
+
+
+# -- defocus ------------------------------------------------------------------------------
+
+
+def two_step_deviations(scene, noise, repeats):
+    """Measured deviation, px, of every {1, a} and {1, a, b}, from phases new to the design."""
+    counts = noise.measurable()
+    width = scene.rig.projector.width
+    sequences = [(1, n) for n in counts[1:]]
+    sequences += [(1, a, b) for a, b in combinations(counts[1:], 2)]
+    squares = {sequence: [] for sequence in sequences}
+    for j, height in enumerate(noise.z_mm):
+        plate = plate_scene(scene, height)
+        transport = trace(plate, ("u",), seed=70 + j)
+        truth = ground_truth(plate)
+        pixels = np.flatnonzero(truth.smooth())[::5]
+        true = truth.panel[..., 0].ravel()[pixels]
+        phases, _ = repeated_phases(
+            plate, transport, counts, pixels, repeats=repeats, seed=5000 + 100 * j
+        )
+        # Away from the ends of the panel, where one fringe starts again.
+        inside = (true > 0.1 * width) & (true < 0.9 * width)
+        phases = phases[..., inside]
+        for sequence, values in squares.items():
+            absolute = phases[:, 0]
+            for before, n in pairwise(sequence):
+                absolute = unwrap(phases[:, counts.index(n)], n, absolute, before)
+            deviation = absolute / sequence[-1] * width / (2 * np.pi)
+            values.append(np.mean(deviation.var(axis=0, ddof=1)))
+    return {sequence: float(np.sqrt(np.mean(values))) for sequence, values in squares.items()}
+
+
+def test_defocus_makes_the_designer_back_off_and_scans_agree(grainy, grainy_noise):
+    # The projector focused at half its distance.
+    blurred = with_projector_lens(grainy, focus_distance_mm=400.0)
+    width = grainy.rig.projector.width
+    counts = candidates(width, max_fringes=40)
+    noise = noise_of_scene(blurred, counts, repeats=REPEATS)
+    assert noise.of(16)[0] > 2.0 * noise.of(1)[0]
+    sharp = thesis_sequence(width, grainy_noise)
+    measured = two_step_deviations(blurred, noise, 10)
+    best = min(value for sequence, value in measured.items() if len(sequence) == 3)
+    for design in (thesis_sequence(width, noise), bounded_sequence(width, noise)):
+        assert design.fringes[-1] < 20 < sharp.fringes[-1]
+        # Within 5 % of the best of all two-step sequences.
+        assert measured[design.fringes] <= 1.05 * best
+    # It was possible to do far worse.
+    assert max(measured.values()) > 3.0 * best
+
+
+# -- refusals -----------------------------------------------------------------------------
+
+
+def test_refusals(block):
+    with pytest.raises(InputError, match="repeats: expected at least 2"):
+        noise_of_scene(block, [1], repeats=1)
+    with pytest.raises(InputError, match="z = 5000 mm"):
+        noise_of_scene(block, [1], z_mm=[5000.0])
+    noise = PhaseNoise.constant(0.1, [1])
+    with pytest.raises(InputError, match="repeats: expected at least 2"):
+        scan_repeatedly(block, [predict(block.rig.projector.width, noise, (1,))], repeats=1)
