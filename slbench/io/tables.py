@@ -43,14 +43,18 @@ def read_table(
         text = existing(path).read_text(encoding="utf-8-sig")
     except ValueError as error:
         raise InputError(path, "a CSV file", error) from None
-    lines = csv.reader(text.splitlines())
-    names = [name.strip() for name in next(lines, [])]
+    lines = csv.reader(io.StringIO(text, newline=""))
+    try:
+        table = [(lines.line_num, cells) for cells in lines]
+    except csv.Error as error:
+        raise InputError(f"{path}: line {lines.line_num}", "a CSV file", error) from None
+    names = [name.strip() for name in table[0][1]] if table else []
     if sorted(names) != sorted(columns):
         expected = f"the header {','.join(columns)}"
         raise InputError(f"{path}: line 1", expected, ",".join(names)[:_SHOWN] or "none")
     order = [names.index(name) for name in columns]
     rows = []
-    for cells in lines:
+    for number, cells in table[1:]:
         if not any(cell.strip() for cell in cells):
             continue
         try:
@@ -60,7 +64,7 @@ def read_table(
         if len(values) != len(names) or (finite and not np.all(np.isfinite(values))):
             expected = f"{len(names)} {'finite ' if finite else ''}numbers"
             found = ",".join(cells)[:_SHOWN]
-            raise InputError(f"{path}: line {lines.line_num}", expected, found)
+            raise InputError(f"{path}: line {number}", expected, found)
         rows.append([values[k] for k in order])
     if not rows:
         raise InputError(path, "at least one row below the header", "none")

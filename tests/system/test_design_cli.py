@@ -6,7 +6,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from scenes_small import run_cli
+from scenes_small import check_refused, run_cli
 
 from slbench import resources
 from slbench.design.constraints import feasible_sample, margins
@@ -52,15 +52,6 @@ def found(tmp_path_factory):
 def table(path):
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
-
-
-def check_refused(outcome, *words):
-    assert outcome.status == 2
-    assert outcome.out == ""
-    assert len(outcome.err.splitlines()) == 1
-    assert outcome.err.startswith("error: ")
-    for word in words:
-        assert word in outcome.err
 
 
 def check_scene(path, configuration):

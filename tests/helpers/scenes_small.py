@@ -103,3 +103,13 @@ def run_cli(*arguments: object) -> Outcome:
         sys.argv = before
     assert isinstance(status, int)
     return Outcome(status, out.getvalue(), err.getvalue())
+
+
+def check_refused(outcome: Outcome, *words: str) -> None:
+    """Check that a command refused its input: one line with the words, nothing printed."""
+    assert outcome.status == 2
+    assert outcome.out == ""
+    assert len(outcome.err.splitlines()) == 1
+    assert outcome.err.startswith("error: ")
+    for word in words:
+        assert word in outcome.err

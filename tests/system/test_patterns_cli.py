@@ -1,0 +1,160 @@
+"""``slbench design patterns``, from the command line to JSON and figures."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from scenes_small import check_refused, run_cli
+
+from slbench.capture import Capture
+from slbench.design.noise import PhaseNoise
+from slbench.patterns import PatternSequence
+
+MACRO = ("--width-px", 400, "--noise-rad", 0.036, "--safety", 2, "--noise-step", 0.001)
+SEQUENCE = PatternSequence.parse("1,4,16", (320, 200))
+
+
+def designed(*arguments):
+    outcome = run_cli("design", "patterns", *arguments, "--json")
+    assert outcome.status == 0, outcome.err
+    return json.loads(outcome.out)
+
+
+def test_the_thesis_case_as_json():
+    found = designed(*MACRO, "--phase-model", "thesis")
+    assert found["fringes"] == [1, 10, 50]
+    assert found["frames"] == 9
+    assert [step["fringes"] for step in found["steps"]] == [10, 50]
+    for step in found["steps"]:
+        # One radian of one fringe is W / 2 pi panel pixels.
+        assert step["sigma_px"] == pytest.approx(step["sigma_rad"] * 400 / (2 * np.pi))
+        assert 0 <= step["order_error_probability"] < 1e-9
+        assert [int(n) for n in step["criterion"]] == found["candidates"]
+        best = min(step["criterion"], key=step["criterion"].__getitem__)
+        assert int(best) == step["fringes"]
+    assert found["steps"][-1]["sigma_rad"] == pytest.approx(0.036 / 50)
+    assert found["baselines"]["doubling"]["fringes"] == [1, 2, 4, 8, 16]
+    assert found["baselines"]["single step"]["fringes"] == [1, 20]
+
+
+def test_both_methods_and_candidates():
+    micro = ("--width-px", 1024, "--noise-rad", 0.25, "--safety", 1.5, "--noise-step", 0.009)
+    model = ("--max-fringes", 16, "--phase-model", "thesis")
+    for method in ("exact", "monte-carlo"):
+        assert designed(*micro, *model, "--method", method)["fringes"] == [1, 2, 4, 8, 16]
+    assert designed(*MACRO, "--min-px-per-fringe", 20)["candidates"] == [1, 2, 4, 5, 8, 10, 16, 20]
+
+
+def test_bounded_with_frames():
+    found = designed(*MACRO, "--criterion", "bounded", "--frames", 18, "--max-order-error", 1e-9)
+    assert found["frames"] == 18
+    assert [step["shifts"] for step in found["steps"]] == [3, 12]
+    assert found["order_error_probability"] <= 1e-9
+
+
+def test_table_for_people_and_a_figure(tmp_path):
+    figure = tmp_path / "design.png"
+    status, out, err = run_cli("design", "patterns", *MACRO, "--plot", figure)
+    assert status == 0, err
+    for word in ("designed", "1, 10, 80", "doubling", "single step", str(figure)):
+        assert word in out.replace("\n", "")
+    picture = cv2.imread(str(figure))
+    assert picture.shape == (1000, 1200, 3)
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 500
+    vector = tmp_path / "design.svg"
+    bounded = ("--criterion", "bounded", "--plot", vector)
+    assert run_cli("design", "patterns", *MACRO, *bounded).status == 0
+    assert vector.read_text().startswith("<?xml")
+    assert {path.name for path in tmp_path.iterdir()} == {"design.png", "design.svg"}
+
+
+def test_noise_from_a_table(tmp_path):
+    path = tmp_path / "noise.csv"
+    counts = np.array([1, 2, 4, 8, 16])
+    table = np.array([[0.1, 0.1], [0.1, 0.1], [0.1, 0.12], [0.1, 0.2], [0.1, np.inf]])
+    PhaseNoise(counts, table, np.array([-1.0, 1.0])).write(path)
+    found = designed("--width-px", 160, "--noise-table", path)
+    # Sixteen fringes are lost at one height, and twenty and more are not in the table.
+    assert found["candidates"] == [1, 2, 4, 8]
+    assert found["noise"][3] == {"fringes": 8, "z_mm": [-1.0, 1.0], "sigma_rad": [0.1, 0.2]}
+    last = found["steps"][-1]
+    assert last["fringes"] == 8
+    assert last["noise_rad"] == pytest.approx(np.sqrt(0.5 * (0.1**2 + 0.2**2)))
+
+
+@pytest.fixture
+def captures(tmp_path):
+    """Folders of six repeated captures of fringes on a flat field, noise of 2 DN."""
+    clean = 100.0 + 80.0 * (2.0 * SEQUENCE.images() - 1.0)
+    folders = []
+    for r in range(6):
+        rng = np.random.default_rng(r)
+        frames = np.rint(clean + 2.0 * rng.standard_normal(clean.shape)).astype(np.uint8)
+        folders.append(tmp_path / f"run{r}")
+        Capture(frames, SEQUENCE).save(folders[-1])
+    return folders
+
+
+def test_noise_from_captures(captures):
+    options = [word for folder in captures for word in ("--capture", folder)]
+    found = designed(*options)
+    assert found["width_px"] == 320
+    assert found["candidates"] == [1, 4, 16]
+    # sigma_phi = sqrt(2 / N) sigma / b, with the variance 1/12 of rounding; 300,000 degrees of
+    # freedom know it to 0.13 %: 1 % is seven deviations.
+    sigma = np.sqrt(2 / 3) * np.sqrt(4.0 + 1 / 12) / 80.0
+    for row in found["noise"]:
+        assert row["sigma_rad"][0] == pytest.approx(sigma, rel=0.01)
+    check_refused(run_cli("design", "patterns", *options[:2]), "at least 2 repeats")
+    check_refused(run_cli("design", "patterns", *options, "--width-px", 400), "320 px")
+
+
+def test_a_scene_is_measured_designed_for_and_scanned(tmp_path):
+    found = designed("--scene", "step-block", "--preview", "--scans", 3, "--repeats", 4)
+    assert found["width_px"] == 640
+    assert len(found["noise"]) == len(found["candidates"])
+    assert len(found["noise"][0]["z_mm"]) == 3
+    first = found["verification"][0]
+    assert first["fringes"] == found["fringes"]
+    assert first["order_error_rate"] == 0.0
+    # Three scans of some 8000 pixels: 0.8 % of statistics.
+    assert first["std_px"] == pytest.approx(first["expected_px"], rel=0.05)
+    assert len(found["verification"]) == 3
+    text = run_cli("design", "patterns", "--scene", "step-block", "--preview", "--scans", 2).out
+    assert "scanned 2 times" in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), ("--noise-rad", "none")),
+        (("--width-px", 400), ("--noise-rad", "none")),
+        (("--noise-rad", 0.1), ("--width-px", "nothing")),
+        ((*MACRO, "--scene", "plane"), ("one of", "--noise-rad and --scene")),
+        (("--width-px", 0, "--noise-rad", 0.1), ("width", "0")),
+        (("--width-px", 400, "--noise-rad", "nan"), ("noise", "nan")),
+        (("--width-px", 400, "--noise-rad", -1), ("noise", "-1")),
+        (("--width-px", 400, "--noise-rad", 10), ("noise", "at most pi", "10")),
+        ((*MACRO, "--safety", 1), ("safety", "1.0")),
+        ((*MACRO, "--noise-step", 1), ("noise step", "1.0")),
+        ((*MACRO, "--noise-step", "nan"), ("noise step", "nan")),
+        ((*MACRO, "--phase-model", "ideal"), ("phase model", "ideal")),
+        ((*MACRO, "--method", "guess"), ("method", "guess")),
+        ((*MACRO, "--criterion", "best"), ("--criterion", "best")),
+        ((*MACRO, "--frames", 12), ("--frames", "bounded")),
+        ((*MACRO, "--criterion", "bounded", "--frames", 2), ("frames", "3 to 100")),
+        ((*MACRO, "--criterion", "bounded", "--max-order-error", 0), ("probability", "0.0")),
+        ((*MACRO, "--criterion", "bounded", "--max-order-error", "nan"), ("probability", "nan")),
+        ((*MACRO, "--max-fringes", 0), ("max fringes", "0")),
+        ((*MACRO, "--min-px-per-fringe", 2), ("pixels per fringe", "2")),
+        ((*MACRO, "--min-px-per-fringe", "nan"), ("pixels per fringe", "nan")),
+        ((*MACRO, "--min-px-per-fringe", 500), ("pixels per fringe", "500")),
+        ((*MACRO, "--plot", "design.bmp"), ("design.bmp", ".png")),
+        (("--width-px", 400, "--noise-table", "none.csv"), ("none.csv",)),
+        (("--capture", "none"), ("none",)),
+        (("--scene", "none"), ("none",)),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(arguments, words):
+    check_refused(run_cli("design", "patterns", *arguments), *words)
