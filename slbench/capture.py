@@ -255,6 +255,7 @@ def capture(
     *,
     seed: int = 0,
     noise: bool = True,
+    light: tuple[float, float] | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Capture:
     """Expose the frames of a scene's patterns.
@@ -269,6 +270,9 @@ def capture(
         Of temporal noise and vibration.  The fixed pattern has the detector's own seed.
     noise : bool
         False: the expected frames, rounded once, without vibration.
+    light : (float, float), optional
+        Photons per unit radiance and exposure time, where another transport of the scene sets
+        them (:func:`exposure`).
     on_progress : callable, optional
         Called with the finished fraction.
 
@@ -277,7 +281,7 @@ def capture(
     Capture
     """
     sequence = scene.sequence
-    factor, exposure_s = exposure(scene, transport)
+    factor, exposure_s = exposure(scene, transport) if light is None else light
     shape = (sequence.n_frames, *transport.shape)
     dtype = np.uint8 if scene.detector.bit_depth == 8 else np.uint16
     frames = np.empty(shape, dtype)

@@ -25,10 +25,12 @@ def write_scan(result: Scan, folder: str | Path) -> list[Path]:
     list of Path
         Frames and manifest (``capture.toml``, ``frames/``, ``rig.yaml``), ``truth.exr``,
         ``transport.npz``, ``cloud.ply`` (where there are points), ``score.json``,
-        ``summary.png``, ``provenance.json``.
+        ``summary.png``, ``provenance.json``; ``stack/`` where there are focus settings.
     """
     with atomic_folder(folder) as temporary:
         result.capture.save(temporary)
+        if result.stack is not None:
+            result.stack.save(temporary / "stack")
         result.truth.save(temporary / "truth.exr")
         result.transport.save(temporary / "transport.npz")
         if len(result.cloud):

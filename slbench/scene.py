@@ -6,9 +6,9 @@ people write one (:mod:`slbench.scenefile`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from slbench.materials import Material
 from slbench.objects import Artefact
 from slbench.patterns import PatternSequence
 from slbench.rig import Pose, Rig
+
+#: More settings than any stack has are a slip.
+MAX_SETTINGS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +100,70 @@ class Exposure:
             raise InputError("exposure vibration", "0 to 10 px", self.vibration_px)
 
 
+@dataclass(frozen=True)
+class Focus:
+    """Focus settings of a stack: one distance of each device a setting.
+
+    Parameters
+    ----------
+    camera_mm, projector_mm : tuple of float
+        Distances in focus along the axes, equally many, at least one.
+    """
+
+    camera_mm: tuple[float, ...]
+    projector_mm: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not self.camera_mm or len(self.camera_mm) != len(self.projector_mm):
+            got = f"{len(self.camera_mm)} and {len(self.projector_mm)}"
+            raise InputError("focus", "as many distances of the camera as of the projector", got)
+        if len(self.camera_mm) > MAX_SETTINGS:
+            raise InputError("focus", f"at most {MAX_SETTINGS} settings", len(self.camera_mm))
+        for distance in (*self.camera_mm, *self.projector_mm):
+            if not 0 < distance < np.inf:
+                raise InputError("focus", "positive distances (mm)", distance)
+
+    def __len__(self) -> int:
+        return len(self.camera_mm)
+
+    @classmethod
+    def sweep(
+        cls,
+        rig: Rig,
+        heights_mm: Sequence[float],
+        move: Literal["both", "camera", "projector"] = "both",
+        apart: bool = False,
+    ) -> Self:
+        """Return settings that focus on points above the origin, one after the other.
+
+        Parameters
+        ----------
+        rig : Rig
+        heights_mm : sequence of float
+            Heights z of the points.
+        move : {"both", "camera", "projector"}
+            Which device follows; the other keeps its focus.
+        apart : bool
+            Every height of the camera with every one of the projector; together otherwise.
+        """
+        if move not in ("both", "camera", "projector"):
+            raise InputError("focus move", "both, camera or projector", move)
+        distances = []
+        for name, device in (("camera", rig.camera), ("projector", rig.projector)):
+            if move in ("both", name):
+                points = np.array([[0.0, 0.0, z] for z in heights_mm]).reshape(-1, 3)
+                depth = (points - device.pose.position) @ device.pose.rotation[:, 2]
+                distances.append([float(d) for d in depth])
+            else:
+                distances.append([device.lens.focus_distance_mm] * len(heights_mm))
+        if apart:
+            if move != "both":
+                raise InputError("focus", "apart only where both devices move", move)
+            pairs = [(c, p) for c in distances[0] for p in distances[1]]
+            distances = [[c for c, _ in pairs], [p for _, p in pairs]]
+        return cls(tuple(distances[0]), tuple(distances[1]))
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A whole measurement.
@@ -115,6 +182,8 @@ class Scene:
         Monte Carlo samples a pixel.
     specification : dict
         The scene file's content, for provenance.
+    focus : Focus or None
+        Settings of a focus stack; None for one picture with the focus of the rig.
     """
 
     name: str
@@ -126,6 +195,7 @@ class Scene:
     light: Light = field(default_factory=Light)
     samples: int = 64
     specification: dict[str, Any] = field(default_factory=dict)
+    focus: Focus | None = None
 
     def __post_init__(self) -> None:
         if not self.objects:
@@ -145,6 +215,31 @@ class Scene:
         return replace(
             self, sequence=PatternSequence.parse(text, self.sequence.panel, shifts, axes)
         )
+
+    def focused(self, setting: int) -> Self:
+        """Return the scene at one setting of its focus stack."""
+        if self.focus is None or not 0 <= setting < len(self.focus):
+            count = 0 if self.focus is None else len(self.focus)
+            raise InputError(f"scene {self.name}: focus setting", f"0..{count - 1}", setting)
+        camera, projector = self.rig.camera, self.rig.projector
+        camera_lens = camera.lens.refocused(self.focus.camera_mm[setting])
+        projector_lens = projector.lens.refocused(self.focus.projector_mm[setting])
+        rig = replace(
+            self.rig,
+            camera=replace(camera, lens=camera_lens),
+            projector=replace(projector, lens=projector_lens),
+        )
+        return replace(self, rig=rig, focus=None)
+
+    def all_in_focus(self) -> Self:
+        """Return the scene through pinholes: what a perfect focus stack would see."""
+        camera, projector = self.rig.camera, self.rig.projector
+        rig = replace(
+            self.rig,
+            camera=replace(camera, lens=replace(camera.lens, aperture_radius_mm=0.0)),
+            projector=replace(projector, lens=replace(projector.lens, aperture_radius_mm=0.0)),
+        )
+        return replace(self, rig=rig, focus=None)
 
     def coarser(self, divisor: int, samples: int) -> Self:
         """Return the scene seen by a camera of fewer, larger pixels, for a quick look."""

@@ -26,7 +26,7 @@ from slbench.materials import PRESETS, Material
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
-from slbench.scene import Exposure, Light, Scene, SceneObject
+from slbench.scene import MAX_SETTINGS, Exposure, Focus, Light, Scene, SceneObject
 from slbench.validation import Finite, Parameters, validated
 
 #: Width of a preview where the scene states no divisor, px.
@@ -214,6 +214,38 @@ class _Exposure(Parameters):
     vibration_px: Annotated[float, Field(ge=0, le=10)] = 0.0
 
 
+class _Focus(Parameters):
+    camera_mm: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    projector_mm: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    heights_mm: Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None
+    settings: Annotated[int, Field(ge=1, le=MAX_SETTINGS)] | None = None
+    move: Literal["both", "camera", "projector"] = "both"
+    apart: bool = False
+
+    @model_validator(mode="after")
+    def _one_way(self) -> _Focus:
+        distances = self.camera_mm is not None or self.projector_mm is not None
+        ways = (distances, self.heights_mm is not None, self.settings is not None)
+        if sum(ways) != 1:
+            raise ValueError("camera_mm or projector_mm (or both), or heights_mm, or settings")
+        if distances and (self.apart or self.move != "both"):
+            raise ValueError("move and apart with heights_mm or settings only")
+        return self
+
+    def focus(self, rig: Rig) -> Focus:
+        """Return the settings; a sweep in `settings` goes through the volume's height."""
+        if self.settings is not None or self.heights_mm is not None:
+            heights = self.heights_mm
+            if heights is None:  # the middles of slices of the volume
+                count = self.settings or 1
+                slices = (np.arange(count) + 0.5) / count - 0.5
+                heights = tuple((rig.volume_mm[2] * slices).tolist())
+            return Focus.sweep(rig, heights, self.move, self.apart)
+        kept = rig.camera.lens.focus_distance_mm, rig.projector.lens.focus_distance_mm
+        count = len(self.camera_mm or self.projector_mm or ())
+        return Focus(self.camera_mm or (kept[0],) * count, self.projector_mm or (kept[1],) * count)
+
+
 class _Patterns(Parameters):
     sequence: str = "1,10,50"
     shifts: int = 3
@@ -242,6 +274,7 @@ class _SceneFile(Parameters):
     light: _Light = _Light()
     exposure: _Exposure = _Exposure()
     patterns: _Patterns = _Patterns()
+    focus: _Focus | None = None
     render: _Render = _Render()
     preview: _Preview = _Preview()
     # What the rig design needs of the hardware (slbench.design.hardware); a scan does not.
@@ -340,6 +373,7 @@ def _build(file: _SceneFile, path: Path, content: dict[str, Any]) -> Scene:
         light=Light(file.light.ambient_w_per_m2 * 1e-6, file.light.bounces),
         samples=file.render.samples,
         specification=content,
+        focus=None if file.focus is None else file.focus.focus(rig),
     )
 
 

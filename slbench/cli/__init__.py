@@ -13,15 +13,18 @@ from typing import Annotated
 import typer
 
 from slbench import __version__
-from slbench.cli import artefacts, design, scanning, scenes
+from slbench.cli import artefacts, calibrate, calibration_run, design, fusing, scanning, scenes
 from slbench.cli.common import Json, new_app, print_json, print_table
 from slbench.errors import InputError
 
 app = new_app("A physically based synthetic structured-light scanner and test bench.", "slbench")
 scanning.register(app)
+fusing.register(app)
 app.add_typer(scenes.app, name="scene")
 app.add_typer(artefacts.app, name="objects")
 app.add_typer(design.app, name="design")
+calibrate.app.command(epilog=f"Example: {calibration_run.EXAMPLE}")(calibration_run.run)
+app.add_typer(calibrate.app, name="calibrate")
 
 # Typer carries its own copy of Click from 0.20 on; this is its usage error in every version.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]

@@ -52,6 +52,9 @@ def scan(
     noise: Annotated[
         bool, typer.Option("--noise/--no-noise", help="Detector noise; rounding stays.")
     ] = True,
+    weights: Annotated[
+        str, typer.Option(help="Focus stacks: sharp by lit frames' texture, or by modulation.")
+    ] = "lit",
     preview: Preview = False,
     as_json: Json = False,
 ) -> None:
@@ -70,10 +73,19 @@ def scan(
         loaded = loaded.with_patterns(
             text, steps or given["shifts"], given["axes"] if axes is None else axes
         )
+    if weights not in ("lit", "modulation"):
+        raise InputError("--weights", "lit or modulation", weights)
     folder = out or Path("out") / loaded.name
     check_folder(folder)
     with progress(as_json) as report:
-        result = run(loaded, seed=seed, noise=noise, samples=spp, on_progress=report)
+        result = run(
+            loaded,
+            seed=seed,
+            noise=noise,
+            samples=spp,
+            weights=weights,  # type: ignore[arg-type]
+            on_progress=report,
+        )
         write_scan(result, folder)
     if as_json:
         print_json(result.to_dict() | {"out": str(folder)})
@@ -120,6 +132,18 @@ def _scan_table(result: Any) -> Table:
         (f"spacing {s.nominal_mm:g} mm", f"{s.measured_mm:.4f} mm, {s.name}")
         for s in score.spacings
     ]
+    if result.fusion is not None:
+        fusion = result.fusion
+        rows += [
+            (
+                f"phase of {fusion.finest} fringes, {place} the depth of field",
+                f"fused {fused.phase_rms:.4f} rad, middle setting {middle.phase_rms:.4f} rad",
+            )
+            for place, fused, middle in (
+                ("inside", fusion.fused_inside, fusion.middle_inside),
+                ("outside", fusion.fused_outside, fusion.middle_outside),
+            )
+        ]
     rows.append(("seconds", ", ".join(f"{k} {v:.2f}" for k, v in seconds.items())))
     for row in rows:
         table.add_row(*row)

@@ -8,7 +8,7 @@ arrays and dictionaries only; what they mean is the caller's business.
 
 from slbench.io.arrays import read_npz, read_ply, write_npz, write_ply
 from slbench.io.atomic import atomic_folder, atomic_path
-from slbench.io.images import read_exr, read_grey, write_exr, write_png
+from slbench.io.images import read_colour, read_exr, read_grey, write_exr, write_png
 from slbench.io.opencv_yaml import read_opencv_yaml, write_opencv_yaml
 from slbench.io.origin import provenance, write_provenance
 from slbench.io.tables import read_table, write_table
@@ -19,6 +19,7 @@ __all__ = [
     "atomic_path",
     "plain",
     "provenance",
+    "read_colour",
     "read_exr",
     "read_grey",
     "read_json",

@@ -141,8 +141,49 @@ def read_grey(path: str | Path) -> NDArray[Any]:
     InputError
         If the file is missing, corrupt, or not of 8 or 16 bit.
     """
+    image = _decoded(path)
+    if image.ndim == 3:
+        from_colour = cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY
+        image = cv2.cvtColor(image, from_colour)
+    return image
+
+
+def read_colour(path: str | Path) -> NDArray[Any]:
+    """Read an image (PNG, TIFF, BMP, JPEG, ...) as it is, grey or colour, bit depth kept.
+
+    Orientation tags are ignored: a camera's pixels stay where the sensor had them.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    (V, U) or (V, U, 3) ndarray of uint8 or uint16
+        Digital numbers; red, green, blue.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, corrupt, not of 8 or 16 bit, or has transparent pixels.  An
+        alpha channel that is opaque throughout says nothing and is dropped.
+    """
+    image = _decoded(path)
+    if image.ndim == 2:
+        return image
+    if image.shape[2] == 4 and image[:, :, 3].min() < np.iinfo(image.dtype).max:
+        raise InputError(path, "an image without transparency", "one with transparent pixels")
+    return np.ascontiguousarray(image[:, :, 2::-1])  # OpenCV has blue first
+
+
+def _decoded(path: str | Path) -> NDArray[Any]:
+    """Return an image file's pixels as OpenCV has them: (V, U), or (V, U, 3 or 4), blue first."""
     path = existing(path)
-    encoded = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    content = path.read_bytes()
+    if content.startswith(b"\xff\xd8") and not _jpeg_is_whole(content):
+        raise InputError(path, "an image file", "a JPEG that is cut off")
+    encoded = np.frombuffer(content, dtype=np.uint8)
     try:
         image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
     except cv2.error as error:
@@ -151,7 +192,21 @@ def read_grey(path: str | Path) -> NDArray[Any]:
         raise InputError(path, "an image file", "one that cannot be decoded")
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError(path, "an image of 8 or 16 bit", describe(image))
-    if image.ndim == 3:
-        from_colour = cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY
-        image = cv2.cvtColor(image, from_colour)
     return image
+
+
+def _jpeg_is_whole(content: bytes) -> bool:
+    """Tell whether a JPEG has its end; the decoder fills what is missing with grey.
+
+    Segments ahead of the first scan are skipped by their lengths, since previews in them
+    have ends of their own (ITU-T T.81, annex B).  Within a scan, FF D9 is an end and no data.
+    """
+    place = 2
+    while len(content) >= place + 4 and content[place] == 0xFF:
+        if content[place + 1] == 0xFF:  # padding
+            place += 1
+        elif content[place + 1] == 0xDA:  # start of scan
+            return content.find(b"\xff\xd9", place) > 0
+        else:
+            place += 2 + int.from_bytes(content[place + 2 : place + 4], "big")
+    return False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 import numpy as np
@@ -72,6 +72,16 @@ class Lens:
             raise InputError("lens numerical_aperture", "a number in [0, 1)", numerical_aperture)
         radius = focus_distance_mm * np.tan(np.arcsin(numerical_aperture))
         return cls(magnification * focus_distance_mm, radius, focus_distance_mm, "telecentric")
+
+    def refocused(self, distance_mm: float) -> Self:
+        """Return the lens focused at another distance, its perspective unchanged."""
+        scale = distance_mm / self.focus_distance_mm if self.kind == "telecentric" else 1.0
+        return replace(
+            self,
+            focal_length_mm=scale * self.focal_length_mm,
+            aperture_radius_mm=scale * self.aperture_radius_mm,
+            focus_distance_mm=distance_mm,
+        )
 
     @property
     def magnification(self) -> float:

@@ -1,0 +1,1 @@
+"""Calibration: detect a target, re-map it to the panel, fit models of the scanner."""

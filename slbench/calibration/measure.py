@@ -1,0 +1,93 @@
+"""Points from a decoded capture and a calibration model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.calibration.model import CalibrationModel
+from slbench.errors import InputError
+from slbench.patterns import Axis, PhaseMap
+from slbench.reconstruct import PointCloud
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class CalibratedCloud:
+    """Points that a calibration model gives.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        With the deviation of the panel coordinates and the model's gradient by them.
+    model_std : (N, 3) float
+        Predicted deviation of the model itself, mm.
+    extrapolated : (N,) bool
+        Outside the model's domain.
+    """
+
+    cloud: PointCloud
+    model_std: Array
+    extrapolated: NDArray[np.bool_]
+
+    @property
+    def sigma_mm(self) -> Array:
+        """Standard deviation per world axis, (N, 3), mm: model and phase noise together."""
+        return np.hypot(self.model_std, self.cloud.sigma_mm)
+
+    @property
+    def sigma_total_mm(self) -> Array:
+        """Standard deviation of the distance to the true point, (N,), mm."""
+        return np.sqrt(np.sum(self.sigma_mm**2, axis=1))
+
+    def inside(self) -> CalibratedCloud:
+        """Return the points that the model does not extrapolate to."""
+        kept = ~self.extrapolated
+        cloud = replace(
+            self.cloud,
+            points=self.cloud.points[kept],
+            pixels=self.cloud.pixels[kept],
+            sigma_px=self.cloud.sigma_px[kept],
+            sensitivity=self.cloud.sensitivity[kept],
+        )
+        return CalibratedCloud(cloud, self.model_std[kept], self.extrapolated[kept])
+
+
+def measure(model: CalibrationModel, phase: PhaseMap) -> CalibratedCloud:
+    """Turn every decoded pixel into a point.
+
+    The model's deviation is that of a further calibration point, so it holds the noise of the
+    calibration points as well as the model's own error: an upper bound for the latter.
+
+    Parameters
+    ----------
+    model : CalibrationModel
+    phase : PhaseMap
+        Panel coordinates of the camera that the model was fitted for.
+
+    Raises
+    ------
+    InputError
+        If an axis that the model needs is not coded.
+    """
+    axes: tuple[Axis, ...] = ("u",) if model.axes == "u" else ("u", "v")
+    missing = [axis for axis in axes if axis not in phase.coordinate]
+    if missing:
+        coded = "".join(phase.coordinate)
+        raise InputError("capture", f"panel axes {''.join(axes)} coded, as the model needs", coded)
+    v, u = np.nonzero(phase.mask)
+    pixels = np.column_stack((u, v)).astype(np.int32)
+    panel = np.stack([phase.coordinate[axis][v, u] for axis in axes], axis=-1)
+    inputs = np.column_stack((pixels, panel)).astype(np.float64)
+    inside = model.inside(inputs) if len(inputs) else np.zeros(0, dtype=np.bool_)
+    sigma = np.stack([phase.sigma[axis][v, u] for axis in axes], axis=-1)
+    points, std = np.empty((len(inputs), 3)), np.empty((len(inputs), 3))
+    sensitivity = np.empty((len(inputs), len(axes), 3))
+    if len(inputs):
+        points, std = model.predict(inputs), model.predict_std(inputs)
+        sensitivity = np.moveaxis(model.gradient(inputs)[:, :, 2:], 1, 2)
+    cloud = PointCloud(points, pixels, phase.mask.shape, axes, sigma, sensitivity)
+    return CalibratedCloud(cloud, std, ~inside)

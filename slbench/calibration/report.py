@@ -1,0 +1,171 @@
+"""What a calibration experiment found: tables 12 and 13 and figures 30 to 32 of the thesis."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from slbench.calibration.baselines import Comparison
+from slbench.calibration.experiment import Experiment
+from slbench.calibration.selection import Selection
+from slbench.io import atomic_folder, atomic_path, write_json, write_provenance, write_table
+
+Array = NDArray[np.float64]
+
+#: Thesis table 13: validation RMS and MAD, um.
+THESIS_13 = {"x": (0.44, 0.34), "y": (0.57, 0.46), "z": (1.50, 1.24)}
+_UM = 1e3
+
+
+def write_experiment(
+    experiment: Experiment,
+    selection: Selection,
+    comparison: Comparison | None,
+    folder: str | Path,
+    parameters: dict[str, Any],
+    seed: int,
+) -> None:
+    """Write points, model, scores, tables, figures and provenance to a folder.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    selection : Selection
+        Of the experiment's points.
+    comparison : Comparison or None
+        With the baselines, where there were heights enough.
+    folder : path
+        Gets ``points.csv``, ``detections.csv``, ``model.json``, ``calibration.json``,
+        ``tables.md``, ``models.png``, ``residuals.png``, ``provenance.json``.
+    parameters : dict
+        For the provenance.
+    seed : int
+    """
+    with atomic_folder(folder) as temporary:
+        experiment.points.write(temporary / "points.csv")
+        write_table(
+            temporary / "detections.csv",
+            ("position", "error_u_px", "error_v_px"),
+            np.column_stack((experiment.position, experiment.detection_px)),
+        )
+        selection.model.save(temporary / "model.json")
+        write_json(temporary / "calibration.json", to_dict(experiment, selection, comparison))
+        with atomic_path(temporary / "tables.md") as path:
+            path.write_text(tables(experiment, selection, comparison), encoding="utf-8")
+        _draw_models(selection, temporary / "models.png")
+        _draw_residuals(experiment, selection, temporary / "residuals.png")
+        write_provenance(temporary, parameters, seed)
+
+
+def to_dict(
+    experiment: Experiment, selection: Selection, comparison: Comparison | None
+) -> dict[str, Any]:
+    """Return the outcome as plain values for JSON; lengths in mm, detections in px."""
+    error = np.linalg.norm(experiment.detection_px, axis=1)
+    return selection.to_dict() | {
+        "points": len(experiment.points),
+        "positions": len(experiment.positions_mm),
+        "detection": {
+            "bias_px": np.median(experiment.detection_px, axis=0),
+            "median_px": float(np.median(error)),
+            "p95_px": float(np.percentile(error, 95.0)),
+        },
+        "baselines": None if comparison is None else comparison.to_dict(),
+    }
+
+
+def tables(experiment: Experiment, selection: Selection, comparison: Comparison | None) -> str:
+    """Return tables 12 and 13 as Markdown, the thesis's numbers beside ours."""
+    lines = [
+        f"{len(experiment.points)} dots at {len(experiment.positions_mm)} positions; "
+        f"{len(selection.train)} train, {len(selection.validation)} validate.",
+        "",
+        "## Validation errors (thesis table 13), um",
+        "",
+        "| coordinate | model | RMS | thesis | MAD | thesis |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, score in selection.final.items():
+        rms, mad = THESIS_13[name]
+        lines.append(
+            f"| {name} | {selection.selected[name]} | {_UM * score.validation_rms:.3f} | {rms} | "
+            f"{_UM * score.validation_mad:.3f} | {mad} |"
+        )
+    total = selection.isometric
+    lines.append(
+        f"| root sum square | | {_UM * total['validation_rms']:.3f} | 1.67 | "
+        f"{_UM * total['validation_mad']:.3f} | 1.36 |"
+    )
+    lines += ["", "## Coefficients (thesis table 12) in raw pixels, mm", ""]
+    for name, terms in selection.model.raw_coefficients().items():
+        text = ", ".join(f"{term}: {value:.6g}" for term, value in terms.items())
+        lines.append(f"- {name}: {text}")
+    if comparison is not None:
+        lines += [
+            "",
+            f"## Methods on {len(comparison.held_out)} heights held out, um",
+            "",
+            "| method | RMS x | RMS y | RMS z | 3-D RMS | answers |",
+            "| --- | --- | --- | --- | --- | --- |",
+        ]
+        for method, result in comparison.scores.items():
+            values = " | ".join(f"{_UM * result.rms[c]:.3f}" for c in "xyz")
+            total_um, share = _UM * result.rms_3d, 100.0 * result.measured
+            lines.append(f"| {method} | {values} | {total_um:.3f} | {share:.0f} % |")
+    return "\n".join(lines) + "\n"
+
+
+def _draw_models(selection: Selection, path: Path) -> None:
+    """Error and selection metrics of every model, as thesis figs. 30-32."""
+    figure = Figure(figsize=(13.0, 4.2), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, (name, scores) in zip(figure.subplots(1, 3), selection.scores.items(), strict=True):
+        forms = list(scores)
+        metrics = {
+            "training RMS": [s.train_rms for s in scores.values()],
+            "validation RMS": [s.validation_rms for s in scores.values()],
+            "root residual MS": [s.residual_ms**0.5 for s in scores.values()],
+            "CV (leave one out)": [s.cv for s in scores.values()],
+        }
+        for k, (label, values) in enumerate(metrics.items()):
+            places = np.arange(len(forms)) + 0.2 * (k - 1.5)
+            axes.bar(places, _UM * np.array(values), 0.2, label=label)
+        axes.set_yscale("log")
+        axes.set_xticks(np.arange(len(forms)), forms)
+        axes.set_ylabel("error / µm")
+        axes.set_title(f"{name}: {selection.selected[name]} selected")
+        axes.grid(visible=True, axis="y", which="both", alpha=0.3)
+    figure.axes[0].legend(fontsize=8)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def _draw_residuals(experiment: Experiment, selection: Selection, path: Path) -> None:
+    """Residuals of the validation points over the volume, seen along y."""
+    points = experiment.points.select(selection.validation)
+    residuals = selection.model.predict(points.inputs(selection.model.axes)) - points.world
+    figure = Figure(figsize=(13.0, 4.2), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    for k, (axes, name) in enumerate(zip(figure.subplots(1, 3), "xyz", strict=True)):
+        values = _UM * residuals[:, k]
+        limit = max(float(np.percentile(np.abs(values), 98.0)), 1e-6)
+        shown = axes.scatter(
+            points.world[:, 0],
+            points.world[:, 2],
+            c=values,
+            s=14,
+            cmap="RdBu_r",
+            vmin=-limit,
+            vmax=limit,
+        )
+        axes.set_xlabel("x / mm")
+        axes.set_ylabel("z / mm")
+        axes.set_title(f"validation residual of {name}")
+        figure.colorbar(shown, ax=axes, label="µm")
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png")

@@ -1,0 +1,327 @@
+"""Choice of the model by its predictive error (thesis 5.4.5, eq. 44-47).
+
+80 % of the points train the candidates, 20 % validate them.  Each world coordinate takes the
+form with the least leave-one-out error ``CV = sqrt(PRESS / n)`` on the training points.
+
+**PRESS without refits.**  With the weights of the fit held fixed, the residual of a point
+predicted by a fit without it is ``r_i / (1 - h_i)``, ``h_i`` the diagonal of the hat matrix of
+the *weighted* problem.  (Weights found anew without the point would differ by O(1/n).)  The sum
+runs over all points with equal weight, as eq. 47 has it: gross outliers raise the CV of every
+form alike, and with them the choice between two nearly equal forms is less certain.
+
+With equally good forms the CV takes a larger one than need be in some 15 % of data sets: it
+behaves as Akaike's criterion, which a further coefficient passes when its square exceeds twice
+its variance.  The price of that in predictive error is small by construction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
+
+from slbench.calibration.domain import Domain
+from slbench.calibration.model import COORDINATES, CalibrationModel, CoordinateModel
+from slbench.calibration.multivariate import JointFit, joint_irls
+from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.polynomials import (
+    FORMS,
+    Axes,
+    Basis,
+    PolynomialForm,
+    Standardisation,
+    polynomial_form,
+)
+from slbench.calibration.robust import (
+    Loss,
+    check_options,
+    checked_response,
+    in_terms,
+    irls,
+)
+from slbench.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ModelScore:
+    """Errors of one form for one coordinate, mm (`residual_ms`: mm^2).
+
+    Attributes
+    ----------
+    train_rms, train_mad : float
+        Thesis eq. 44 and 45 (median of the absolute errors) on the training points.
+    validation_rms, validation_mad : float
+        The same on the validation points.
+    residual_ms : float
+        Residual mean square, thesis eq. 46.
+    cv : float
+        Leave-one-out error, thesis eq. 47.
+    coefficients : int
+    iterations : int
+    converged : bool
+    """
+
+    train_rms: float
+    train_mad: float
+    validation_rms: float
+    validation_mad: float
+    residual_ms: float
+    cv: float
+    coefficients: int
+    iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """What :func:`select_models` found.
+
+    Attributes
+    ----------
+    model : CalibrationModel
+        Of the selected forms, fitted to the training points.
+    selected : dict of coordinate to form name
+    scores : dict of coordinate to dict of form name to ModelScore
+    final : dict of coordinate to ModelScore
+        Of `model` itself; differs from the selected form's score only in joint fits of forms
+        that differ.
+    train, validation : (m,) int
+        Rows of the points.
+    seed : int
+    """
+
+    model: CalibrationModel
+    selected: dict[str, str]
+    scores: dict[str, dict[str, ModelScore]]
+    final: dict[str, ModelScore]
+    train: NDArray[np.intp]
+    validation: NDArray[np.intp]
+    seed: int
+
+    @property
+    def isometric(self) -> dict[str, float]:
+        """Root sum square over the coordinates of the validation errors, thesis table 13, mm."""
+        names = ("validation_rms", "validation_mad")
+        return {
+            name: float(np.linalg.norm([getattr(s, name) for s in self.final.values()]))
+            for name in names
+        }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; lengths in mm."""
+        result: dict[str, Any] = {
+            name: {
+                "selected": self.selected[name],
+                "models": {form: vars(score) for form, score in self.scores[name].items()},
+                "final": vars(self.final[name]),
+            }
+            for name in COORDINATES
+        }
+        counts = {"train": len(self.train), "validation": len(self.validation)}
+        return result | {"isometric": self.isometric, "n": counts, "seed": self.seed}
+
+
+def split(
+    n: int, validation: float = 0.2, seed: int = 0
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Split rows at random into training and validation rows, each in ascending order.
+
+    Raises
+    ------
+    InputError
+        If the share leaves either empty.
+    """
+    if not 0 < validation < 1:
+        raise InputError("validation", "a share between 0 and 1", validation)
+    count = round(validation * n)
+    if not 0 < count < n:
+        raise InputError("calibration points", "enough for training and validation", n)
+    order = np.random.default_rng(seed).permutation(n)
+    return np.sort(order[count:]), np.sort(order[:count])
+
+
+def press(residuals: Array, leverage: Array) -> float:
+    """Return the prediction sum of squares (thesis, below eq. 47) for fixed weights.
+
+    Parameters
+    ----------
+    residuals : (n,) float
+        Observed minus fitted, unweighted.
+    leverage : (n,) float
+        Diagonal of the hat matrix of the weighted problem.
+    """
+    # A point with leverage 1 is fitted whatever it is: nothing predicts it.
+    left = 1.0 - leverage
+    with np.errstate(divide="ignore", invalid="ignore"):
+        errors = np.where(left > 1e-12, residuals / left, np.inf)
+    return float(errors @ errors)
+
+
+def rms(errors: ArrayLike) -> float:
+    """Return the root mean square, thesis eq. 44."""
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def median_absolute(errors: ArrayLike) -> float:
+    """Return the median of the absolute errors, which thesis eq. 45 calls MAD."""
+    return float(np.median(np.abs(errors)))
+
+
+def select_models(
+    points: CalibrationPoints,
+    *,
+    axes: Axes = "u",
+    forms: Sequence[str] = FORMS,
+    multivariate: bool = False,
+    validation: float = 0.2,
+    seed: int = 0,
+    loss: Loss = "cauchy",
+    max_iterations: int = 100,
+    tolerance: float = 1e-6,
+) -> Selection:
+    """Fit all candidate forms to every coordinate and choose by cross-validation.
+
+    Parameters
+    ----------
+    points : CalibrationPoints
+    axes : {"u", "uv"}
+        Panel axes to use.  Noise-free points of two exact pinholes obey the epipolar
+        constraint, which makes the interactions of "uv" dependent; they are then refused.
+    forms : sequence of str
+        Candidates.
+    multivariate : bool
+        Fit the coordinates together (:mod:`~slbench.calibration.multivariate`): candidates
+        with the same form in all, then the selected ones jointly.
+    validation : float
+        Share of the points kept for validation.
+    seed : int
+        Of the split.
+    loss, max_iterations, tolerance
+        As for :func:`~slbench.calibration.robust.irls`.
+
+    Returns
+    -------
+    Selection
+
+    Raises
+    ------
+    InputError
+        For too few points, dependent terms (named), or a coordinate that does not change.
+    """
+    check_options(loss, max_iterations, tolerance)
+    options: dict[str, Any] = {
+        "loss": loss,
+        "max_iterations": max_iterations,
+        "tolerance": tolerance,
+    }
+    if not forms or len(set(forms)) != len(forms):
+        raise InputError("forms", f"different ones of {', '.join(FORMS)}", list(forms) or "none")
+    candidates = sorted((polynomial_form(name, axes) for name in forms), key=len)
+    inputs = points.inputs(axes)
+    train, held = split(len(points), validation, seed)
+    y = points.world[train]
+    for k, name in enumerate(COORDINATES):
+        checked_response(y[:, k], len(train), f"calibration points: {name}_mm")
+    standardisation = Standardisation.of(inputs[train], candidates[-1].variables)
+    standardised = standardisation.apply(inputs[train])
+    basis = _basis(standardised, candidates)
+    held_design = candidates[-1].design(standardisation.apply(inputs[held]))
+    truth = points.world[held]
+
+    def one_fit(task: tuple[PolynomialForm, int]) -> tuple[CoordinateModel, ModelScore]:
+        form, k = task
+        part = basis.leading(form)
+        fit = irls(part.q, y[:, k], **options)
+        terms = in_terms(part, fit.coefficients, fit.variance)
+        one = CoordinateModel(form, *terms, fit.residual_std)
+        errors = held_design[:, : len(form)] @ one.coefficients - truth[:, k]
+        return one, _score(fit.residuals, fit.leverage, errors, fit.iterations, fit.converged, form)
+
+    def joint_fit(forms: Sequence[PolynomialForm]) -> list[tuple[CoordinateModel, ModelScore]]:
+        widest = basis.leading(max(forms, key=len))
+        fit = joint_irls(widest.q, y, [len(form) for form in forms], **options)
+        result = []
+        for k, form in enumerate(forms):
+            one = _of_joint(fit, k, basis.leading(form))
+            errors = held_design[:, : len(form)] @ one.coefficients - truth[:, k]
+            # Leverages are those of the widest form: of forms that differ, bounds from above.
+            how = (fit.leverage, errors, fit.iterations, fit.converged, form)
+            result.append((one, _score(fit.residuals[:, k], *how)))
+        return result
+
+    tasks = [(form, k) for form in candidates for k in range(3)]
+    # Blocks of this size gain nothing from a threaded BLAS, and lose much where the machine
+    # is busy: the fits run side by side instead.
+    with threadpool_limits(1):
+        if multivariate:
+            fits = [one for form in candidates for one in joint_fit([form] * 3)]
+        else:
+            with ThreadPoolExecutor(max_workers=3) as pool:
+                fits = list(pool.map(one_fit, tasks))
+        found = {
+            (COORDINATES[k], form.name): fit for (form, k), fit in zip(tasks, fits, strict=True)
+        }
+        scores = {
+            name: {form.name: found[name, form.name][1] for form in candidates}
+            for name in COORDINATES
+        }
+        selected = {
+            name: min(scores[name], key=lambda form: scores[name][form].cv) for name in COORDINATES
+        }
+        final = [found[name, selected[name]] for name in COORDINATES]
+        if multivariate and len(set(selected.values())) > 1:
+            final = joint_fit([one.form for one, _ in final])
+    (x, x_score), (y_model, y_score), (z, z_score) = final
+    model = CalibrationModel(axes, standardisation, (x, y_model, z), Domain.of(standardised))
+    final_scores = dict(zip(COORDINATES, (x_score, y_score, z_score), strict=True))
+    return Selection(model, selected, scores, final_scores, train, held, seed)
+
+
+def _basis(standardised: Array, candidates: list[PolynomialForm]) -> Basis:
+    """Decompose the widest candidate; a smaller one that cannot be fitted is named first."""
+    try:
+        return Basis.of(standardised, candidates[-1])
+    except InputError:
+        for form in candidates[:-1]:
+            Basis.of(standardised, form)
+        raise
+
+
+def _of_joint(joint: JointFit, k: int, basis: Basis) -> CoordinateModel:
+    """Return one coordinate of a joint fit."""
+    to_terms = np.linalg.solve(basis.r, np.eye(len(basis.form)))
+    return CoordinateModel(
+        basis.form,
+        to_terms @ joint.coefficients[k],
+        to_terms @ joint.covariance[k] @ to_terms.T,
+        float(joint.scatter[k, k] ** 0.5),
+    )
+
+
+def _score(
+    residuals: Array,
+    leverage: Array,
+    errors: Array,
+    iterations: int,
+    converged: bool,
+    form: PolynomialForm,
+) -> ModelScore:
+    n, p = len(residuals), len(form)
+    return ModelScore(
+        train_rms=rms(residuals),
+        train_mad=median_absolute(residuals),
+        validation_rms=rms(errors),
+        validation_mad=median_absolute(errors),
+        residual_ms=float(residuals @ residuals) / (n - p),
+        cv=(press(residuals, leverage) / n) ** 0.5,
+        coefficients=p,
+        iterations=iterations,
+        converged=converged,
+    )

@@ -1,0 +1,124 @@
+"""``slbench calibrate run``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from slbench.cli.common import (
+    Json,
+    Preview,
+    SceneName,
+    Seed,
+    check_folder,
+    print_json,
+    progress,
+)
+from slbench.errors import InputError
+
+EXAMPLE = "slbench calibrate run ch8-grid-stack --preview --out out/calibration"
+#: Heights and shifts of a preview.
+_PREVIEW = (5, 3)
+
+
+def run(
+    scene: SceneName,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/calibration"),
+    z_steps: Annotated[
+        int | None, typer.Option(min=4, help="Heights of the stage.  [default: 11]")
+    ] = None,
+    y_steps: Annotated[
+        int | None, typer.Option(min=1, help="Shifts of the stage along y.  [default: 6]")
+    ] = None,
+    y_step_um: Annotated[float, typer.Option(help="Size of a shift.")] = 20.0,
+    stage_um: Annotated[
+        float, typer.Option(min=0.0, help="Standard deviation of the stage's position.")
+    ] = 0.0,
+    remapping: Annotated[
+        str, typer.Option(help="Phase of a dot: ring around it, or bilinear at its centre.")
+    ] = "ring",
+    weights: Annotated[
+        str, typer.Option(help="Focus stacks: sharp by lit frames' texture, or by modulation.")
+    ] = "lit",
+    divisor: Annotated[
+        int | None, typer.Option(min=1, help="Camera pixels put together, to be quicker.")
+    ] = None,
+    spp: Annotated[
+        int | None, typer.Option(min=1, max=65536, help="Monte Carlo samples a pixel.")
+    ] = None,
+    multivariate: Annotated[
+        bool, typer.Option("--multivariate", help="Fit x, y and z together.")
+    ] = False,
+    seed: Seed = 0,
+    preview: Preview = False,
+    as_json: Json = False,
+) -> None:
+    """Render the calibration experiment, from dots on a stage to a chosen model."""
+    import numpy as np
+
+    from slbench.calibration.baselines import compare_methods
+    from slbench.calibration.experiment import (
+        Y_STEPS,
+        Z_STEPS,
+        run_experiment,
+        stage_positions,
+    )
+    from slbench.calibration.report import tables, to_dict, write_experiment
+    from slbench.calibration.selection import select_models
+    from slbench.scenefile import load_scene
+
+    check_folder(out)
+    if remapping not in ("ring", "bilinear"):
+        raise InputError("--remapping", "ring or bilinear", remapping)
+    if weights not in ("lit", "modulation"):
+        raise InputError("--weights", "lit or modulation", weights)
+    if not np.isfinite(y_step_um) or not np.isfinite(stage_um):
+        raise InputError("stage", "finite lengths (um)", f"{y_step_um}, {stage_um}")
+    loaded = load_scene(scene, preview=preview)
+    if divisor is not None:
+        loaded = loaded.coarser(divisor, loaded.samples)
+    if spp is not None:
+        loaded = replace(loaded, samples=spp)
+    few = _PREVIEW if preview else (Z_STEPS, Y_STEPS)
+    positions = stage_positions(loaded, z_steps or few[0], y_steps or few[1], 1e-3 * y_step_um)
+    with progress(as_json) as report:
+        found = run_experiment(
+            loaded,
+            positions,
+            stage_sigma_mm=1e-3 * stage_um,
+            remapping=remapping,  # type: ignore[arg-type]
+            weights=weights,  # type: ignore[arg-type]
+            seed=seed,
+            on_progress=report,
+        )
+    axes: Any = "u"
+    selection = select_models(found.points, axes=axes, multivariate=multivariate, seed=seed)
+    camera, projector = loaded.rig.camera, loaded.rig.projector
+    try:
+        comparison = compare_methods(
+            found.points,
+            (camera.width, camera.height),
+            (projector.width, projector.height),
+            seed=seed,
+        )
+    except InputError:  # too few heights or dots in common: no baselines, but a calibration
+        comparison = None
+    parameters = {
+        "scene": loaded.specification,
+        "camera_px": [camera.width, camera.height],
+        "samples": loaded.samples,
+        "z_steps": len(np.unique(positions[:, 2])),
+        "positions": len(positions),
+        "stage_um": stage_um,
+        "remapping": remapping,
+        "weights": weights,
+    }
+    write_experiment(found, selection, comparison, out, parameters, seed)
+    if as_json:
+        print_json(to_dict(found, selection, comparison) | {"out": str(out)})
+        return
+    print(tables(found, selection, comparison))
+    print(f"Written to {out}: open {out / 'models.png'}")

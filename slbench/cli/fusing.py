@@ -1,0 +1,266 @@
+"""``slbench fuse``."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from slbench.cli.common import Json, check_folder, print_json, print_table, progress
+from slbench.errors import InputError
+from slbench.io import atomic_folder, write_exr, write_png
+
+METHODS = ("saf", "maximum", "pyramid")
+ALIGNMENTS = ("none", "translation", "affine", "homography")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `app`."""
+    app.command(epilog="Example: slbench fuse photographs --out fused.png --align affine")(fuse)
+
+
+def fuse(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            help="Photographs (PNG, TIFF, JPEG) in order of their names, or a stack.toml's folder."
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="Image to write (.png); of a stack: folder of the fused capture.")
+    ],
+    method: Annotated[
+        str, typer.Option(help="saf, maximum, pyramid; stacks: modulation too.")
+    ] = "saf",
+    measure: Annotated[
+        str, typer.Option(help="Measure of focus: variance, gradient or laplacian.")
+    ] = "variance",
+    align: Annotated[
+        str, typer.Option(help="Align first: none, translation, affine or homography.")
+    ] = "none",
+    variant: Annotated[
+        str, typer.Option(help="saf: corrected, or published (as the authors' program).")
+    ] = "corrected",
+    window: Annotated[int, typer.Option(help="Window of the measure, pixels, odd.")] = 9,
+    as_json: Json = False,
+) -> None:
+    """Fuse photographs taken at different focus into one that is in focus everywhere.
+
+    Beside the image: FILE-depth.exr, the frame in focus at each pixel, counted from 0, and
+    FILE-selectivity.exr, how clearly it is, dB (not for pyramid).
+
+    A focus stack of captures (a folder with a stack.toml, as slbench scan writes it) becomes one
+    capture: every pattern is fused with the weights of the lit frames.
+    """
+    from slbench.focusstack import MANIFEST
+    from slbench.fusion import Photographs
+
+    if (folder / MANIFEST).exists():
+        _fuse_stack(folder, out, method, measure, align, variant, window, as_json)
+        return
+    _check_choices(method, align)
+    _check_out(out, folder)
+    photographs = Photographs.open(folder)
+    begin = time.perf_counter()
+    with progress(as_json) as report:
+        image, maps, result = _fused(
+            photographs.luminance, photographs, method, measure, align, variant, window, report
+        )
+        top = np.iinfo(photographs.dtype).max
+        pixels = np.clip(np.rint(image), 0, top).astype(photographs.dtype)
+        with atomic_folder(out.parent) as temporary:
+            write_png(temporary / out.name, pixels)
+            for name, values in maps.items():
+                channels = {name: values.astype(np.float32)}
+                write_exr(temporary / f"{out.stem}-{name}.exr", channels)
+    result = {
+        "method": method,
+        "align": align,
+        "frames": len(photographs),
+        "height_px": photographs.shape[0],
+        "width_px": photographs.shape[1],
+        "channels": 1 if len(photographs.shape) == 2 else 3,
+        "bit_depth": 8 * photographs.dtype.itemsize,
+        **result,
+        "seconds": time.perf_counter() - begin,
+        "files": [str(out), *(str(out.with_name(f"{out.stem}-{name}.exr")) for name in maps)],
+    }
+    if as_json:
+        print_json(result)
+        return
+    print_table(_table(result))
+    print(f"Written to {', '.join(result['files'])}")
+
+
+def _fuse_stack(
+    folder: Path,
+    out: Path,
+    method: str,
+    measure: str,
+    align: str,
+    variant: str,
+    window: int,
+    as_json: bool,
+) -> None:
+    """Fuse a stack of captures into one, with the maps of the weights beside it."""
+    from slbench import fusion
+    from slbench.focusstack import FocusStack, modulation_weights
+
+    if method != "modulation":
+        _check_choices(method, align)
+    elif align != "none":
+        raise InputError("--align", "none, as modulation has no lit frames to align", align)
+    check_folder(out)
+    if out.absolute().resolve() == folder.absolute().resolve():
+        raise InputError("--out", "another folder than the stack's", out)
+    stack = FocusStack.load(folder)
+    begin = time.perf_counter()
+    alignment = None
+    with progress(as_json):
+        if method == "modulation":
+            weights: Any = modulation_weights(stack, window)
+        else:
+            lit: Any = stack.lit()
+            if align != "none":
+                alignment = fusion.align(lit, motion=align)  # type: ignore[arg-type]
+                lit = alignment.apply(lit)
+            if method == "pyramid":
+                weights = fusion.pyramid_selection(lit)
+            elif method == "maximum":
+                weights = fusion.maximum_weights(
+                    lit,
+                    measure=measure,  # type: ignore[arg-type]
+                    window=window,
+                )
+            else:
+                weights = fusion.selective_weights(
+                    lit,
+                    measure=measure,  # type: ignore[arg-type]
+                    window=window,
+                    variant=variant,  # type: ignore[arg-type]
+                )
+        capture = stack.fuse_with(weights, alignment).capture
+        with atomic_folder(out) as temporary:
+            capture.save(temporary)
+            if isinstance(weights, fusion.FusionWeights):
+                maps = {
+                    "focus": weights.focus,
+                    "selectivity": weights.selectivity_db,
+                    "noise_gain": weights.noise_gain,
+                }
+                channels = {name: values.astype(np.float32) for name, values in maps.items()}
+                write_exr(temporary / "fusion.exr", channels)
+    result = {
+        "method": method,
+        "align": align,
+        "settings": len(stack),
+        "patterns": capture.sequence.name,
+        "frames": len(capture.frames),
+        "seconds": time.perf_counter() - begin,
+        "out": str(out),
+    }
+    if as_json:
+        print_json(result)
+        return
+    for key, value in result.items():
+        print(f"{key}: {value:.2f}" if isinstance(value, float) else f"{key}: {value}")
+
+
+def _check_choices(method: str, align: str) -> None:
+    """Refuse a method or an alignment that there is not."""
+    if method not in METHODS:
+        raise InputError("--method", f"one of {', '.join(METHODS)}", method)
+    if align not in ALIGNMENTS:
+        raise InputError("--align", f"one of {', '.join(ALIGNMENTS)}", align)
+
+
+def _check_out(out: Path, folder: Path) -> None:
+    """Refuse an image that cannot be written, or that would be fused the next time."""
+    if out.suffix.lower() != ".png":
+        raise InputError("--out", "a name that ends in .png", out)
+    if out.is_dir():
+        raise InputError("--out", "the name of a file", f"{out}, a folder")
+    if out.absolute().parent.resolve() == folder.resolve():
+        raise InputError("--out", "a file outside the folder that is fused", out)
+    check_folder(out.parent)
+
+
+def _fused(
+    grey: Any,
+    stack: Any,
+    method: str,
+    measure: str,
+    align: str,
+    variant: str,
+    window: int,
+    report: Any,
+) -> tuple[Any, dict[str, Any], dict[str, Any]]:
+    """Return the fused image, maps by the name of their file, and figures for the summary.
+
+    `grey` gives the alignment and the weights, `stack` the frames that are fused.
+    """
+    from slbench import fusion
+
+    summary: dict[str, Any] = {}
+    if align != "none":
+        alignment = fusion.align(grey, motion=align)  # type: ignore[arg-type]
+        grey, stack = alignment.apply(grey), alignment.apply(stack)
+        summary["reference"] = alignment.reference
+        summary["least_correlation"] = float(alignment.correlation.min())
+    if method == "pyramid":
+        return fusion.pyramid_selection(grey).fuse(stack), {}, summary
+    if method == "maximum":
+        weights = fusion.maximum_weights(
+            grey,
+            measure=measure,  # type: ignore[arg-type]
+            window=window,
+            on_progress=report,
+        )
+    else:
+        weights = fusion.selective_weights(
+            grey,
+            measure=measure,  # type: ignore[arg-type]
+            window=window,
+            variant=variant,  # type: ignore[arg-type]
+            on_progress=report,
+        )
+        summary["variant"] = variant
+    peak = np.isfinite(weights.focus)
+    summary |= {
+        "measure": measure,
+        "window_px": window,
+        "pixels_with_peak": float(peak.mean()),
+        "median_selectivity_db": float(np.median(weights.selectivity_db)),
+        "median_noise_gain": float(np.median(weights.noise_gain)),
+    }
+    maps = {"depth": weights.focus, "selectivity": weights.selectivity_db}
+    return weights.fuse(stack), maps, summary
+
+
+def _table(result: dict[str, Any]) -> Table:
+    """Lay the summary out for people."""
+    table = Table(title=f"{result['frames']} photographs fused: {result['method']}")
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    size = f"{result['width_px']} x {result['height_px']} px"
+    colour = "grey" if result["channels"] == 1 else "colour"
+    rows = [("image", f"{size}, {colour}, {result['bit_depth']} bit")]
+    if "reference" in result:
+        found = f"frame {result['reference']}, correlation {result['least_correlation']:.3f}"
+        rows.append((f"aligned ({result['align']}) with", f"{found} or better"))
+    if "median_noise_gain" in result:
+        selectivity = result["median_selectivity_db"]
+        known = np.isfinite(selectivity)  # of fewer than five frames it is not
+        rows += [
+            ("pixels with a focus peak", f"{100 * result['pixels_with_peak']:.1f} %"),
+            ("median selectivity", f"{selectivity:.1f} dB" if known else "-"),
+            ("noise, times that of one frame", f"{result['median_noise_gain']:.2f}"),
+        ]
+    rows.append(("seconds", f"{result['seconds']:.2f}"))
+    for row in rows:
+        table.add_row(*row)
+    return table

@@ -1,0 +1,217 @@
+"""Selection of the model: PRESS, the split, the choice, and the reference it must reach."""
+
+import numpy as np
+import pytest
+from calibration_data import polynomial_data, rig_points
+
+from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.polynomials import FORMS, Standardisation, polynomial_form
+from slbench.calibration.robust import RobustPolynomial
+from slbench.calibration.selection import (
+    median_absolute,
+    press,
+    rms,
+    select_models,
+    split,
+)
+from slbench.errors import InputError
+
+
+@pytest.mark.parametrize("loss", ["cauchy", "least-squares"])
+@pytest.mark.parametrize("form", FORMS)
+def test_press_is_leave_one_out(form, loss):
+    """Against refits without each point, the weights held fixed."""
+    x, _, y = polynomial_data("M3", 60, 0.1, np.random.default_rng(0))
+    y[:3] += 2.0
+    fit = RobustPolynomial(form, loss).fit(x, y)
+    design = polynomial_form(form).design((x - 1000) / 700)
+    root, errors = np.sqrt(fit.weights_), []
+    for i in range(len(x)):
+        kept = np.arange(len(x)) != i
+        weighted = root[kept, None] * design[kept]
+        coefficients = np.linalg.lstsq(weighted, root[kept] * y[kept])[0]
+        errors.append(design[i] @ coefficients - y[i])
+    expected = np.sum(np.square(errors))
+    assert press(fit.residuals_, fit.leverage_) == pytest.approx(expected, rel=1e-9)
+    # The trace of a projection is its rank.
+    assert fit.leverage_.sum() == pytest.approx(len(polynomial_form(form)), rel=1e-12)
+
+
+def test_metrics():
+    errors = np.array([-3.0, 1.0, 2.0, 2.0])
+    assert rms(errors) == pytest.approx(np.sqrt(18 / 4))
+    assert median_absolute(errors) == 2.0  # about zero, not about the median (thesis eq. 45)
+    assert press(np.array([1.0, 2.0]), np.array([0.5, 0.0])) == 8.0
+    assert press(np.array([0.0]), np.array([1.0])) == np.inf
+
+
+def test_split():
+    train, held = split(103, 0.2, seed=4)
+    assert len(held) == 21
+    np.testing.assert_array_equal(np.sort(np.concatenate((train, held))), np.arange(103))
+    np.testing.assert_array_equal(split(103, 0.2, seed=4)[1], held)
+    assert not np.array_equal(split(103, 0.2, seed=5)[1], held)
+    for share in (0.0, 1.0, -0.1, np.nan):
+        with pytest.raises(InputError, match="share"):
+            split(100, share)
+    with pytest.raises(InputError, match="enough"):
+        split(2, 0.2)
+
+
+def points_of(form, n, sigma, rng):
+    """Points whose coordinates are one polynomial with independent noise."""
+    x, truth, _ = polynomial_data(form, n, 0.0, rng)
+    world = truth[:, None] * [1.0, -2.0, 0.5] + sigma * rng.normal(size=(n, 3))
+    return CalibrationPoints(np.column_stack((x, np.full(n, np.nan))), world)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_generating_form_is_chosen(form):
+    """The generating form mostly, a smaller one never, a larger one now and then.
+
+    A larger form passes when its m further coefficients' chi-squared exceeds 2 m: for M1
+    that is P(chi2_3 > 6) = 0.11 and with the others 0.15 in all, less for the others.  Of
+    the 60 choices more than 20 go wrong with probability 1e-4, were they independent; of a
+    point's three coordinates they are.
+    """
+    chosen = []
+    for seed in range(20):
+        points = points_of(form, 300, 0.1, np.random.default_rng(seed))
+        chosen += select_models(points, seed=seed).selected.values()
+    assert min(chosen) == form
+    assert chosen.count(form) >= 40
+
+
+def test_scores_are_those_of_the_estimator():
+    points = rig_points(600, 0.05)
+    found = select_models(points, seed=7)
+    train, held = split(600, 0.2, seed=7)
+    x, y = points.inputs()[train], points.world[train, 2]
+    fit = RobustPolynomial("M3").fit(x, y)
+    score = found.scores["z"]["M3"]
+    residuals = fit.predict(x) - y
+    errors = fit.predict(points.inputs()[held]) - points.world[held, 2]
+    # The same fit from a basis that has ten columns more: rounding alone.
+    assert score.train_rms == pytest.approx(rms(residuals), rel=1e-9)
+    assert score.train_mad == pytest.approx(median_absolute(residuals), rel=1e-7)
+    assert score.validation_rms == pytest.approx(rms(errors), rel=1e-9)
+    assert score.validation_mad == pytest.approx(median_absolute(errors), rel=1e-7)
+    assert score.residual_ms == pytest.approx(np.sum(residuals**2) / (len(x) - 10), rel=1e-9)
+    assert score.cv == pytest.approx(
+        np.sqrt(press(fit.residuals_, fit.leverage_) / len(x)), rel=1e-9
+    )
+    parts = [found.scores[c][found.selected[c]].validation_rms for c in "xyz"]
+    assert found.isometric["validation_rms"] == pytest.approx(np.linalg.norm(parts))
+
+
+@pytest.mark.parametrize("name", ["ch8-grid", "plane"])
+def test_noise_free_rig_is_approximated_as_well_as_can_be(name):
+    """Two exact pinholes: the error is that of the best cubic, by NumPy's least squares."""
+    points = rig_points(2000, name=name)
+    plain = select_models(points, loss="least-squares")
+    robust = select_models(points)
+    assert set(plain.selected.values()) == set(robust.selected.values()) == {"M4"}
+    x = Standardisation.of(points.inputs()[plain.train], ("u_c", "v_c", "u_p")).apply(
+        points.inputs()
+    )
+    design = polynomial_form("M4").design(x)
+    for k, coordinate in enumerate("xyz"):
+        best = np.linalg.lstsq(design[plain.train], points.world[plain.train, k])[0]
+        errors = design @ best - points.world[:, k]
+        expected = rms(errors[plain.validation])
+        # Errors of 1e-7 of the volume and more, rounding of 1e-15 of it.
+        found = plain.scores[coordinate]["M4"]
+        assert found.validation_rms == pytest.approx(expected, rel=1e-6)
+        assert found.train_rms == pytest.approx(rms(errors[plain.train]), rel=1e-6)
+        # The truncation error has heavier tails than noise, which the robust fit discounts.
+        other = robust.scores[coordinate]["M4"]
+        assert found.train_rms <= other.train_rms < 1.25 * found.train_rms
+    assert plain.isometric["validation_rms"] < 1e-4 * rig_depth(points)
+
+
+def rig_depth(points):
+    return np.ptp(points.world[:, 2])
+
+
+def test_both_panel_axes_lower_the_error_of_noise():
+    """v_p holds the point's y once more: a second look at it."""
+    points = rig_points(3000, 0.05)
+    one, two = (select_models(points, axes=axes) for axes in ("u", "uv"))
+    assert two.final["y"].validation_rms < 0.97 * one.final["y"].validation_rms
+    assert two.model.predict(points.inputs("uv")).shape == (3000, 3)
+
+
+class TestMultivariate:
+    points = rig_points(1500, 0.05)
+
+    def test_agrees_with_separate_fits_where_nothing_is_wrong(self):
+        alone, joint = (select_models(self.points, multivariate=m) for m in (False, True))
+        for name in "xyz":
+            ratio = joint.final[name].validation_rms / alone.final[name].validation_rms
+            assert ratio == pytest.approx(1.0, abs=0.02)
+
+    def test_least_squares_is_the_same(self):
+        options = {"loss": "least-squares", "forms": ("M3",)}
+        alone = select_models(self.points, **options)
+        joint = select_models(self.points, multivariate=True, **options)
+        for name in "xyz":
+            for key, value in vars(alone.final[name]).items():
+                if key != "iterations":
+                    assert getattr(joint.final[name], key) == pytest.approx(value, rel=1e-9)
+
+    def test_forms_that_differ_are_fitted_together(self):
+        rng = np.random.default_rng(5)
+        x, *_ = polynomial_data("M1", 500, 0.0, rng)
+        unit = (x - 1000) / 700
+        world = np.column_stack(
+            (unit.sum(axis=1), unit.prod(axis=1), np.sum(unit**2, axis=1))
+        ) + 0.02 * rng.multivariate_normal(np.zeros(3), np.full((3, 3), 0.9) + 0.1 * np.eye(3), 500)
+        points = CalibrationPoints(np.column_stack((x, x[:, 2])), world)
+        found = select_models(points, multivariate=True)
+        assert found.selected["x"] < "M4" == found.selected["y"]
+        names = [one.form.name for one in found.model.coordinates]
+        assert names == list(found.selected.values())
+        for score in found.final.values():
+            assert score.converged
+            assert score.validation_rms < 0.025
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            ({"axes": "v"}, "u or uv"),
+            ({"forms": ()}, "forms"),
+            ({"forms": ("M1", "M1")}, "forms"),
+            ({"forms": ("M1", "M7")}, "M7"),
+            ({"loss": "huber"}, "loss"),
+            ({"validation": 2.0}, "share"),
+        ],
+    )
+    def test_options(self, options, words):
+        with pytest.raises(InputError, match=words):
+            select_models(rig_points(100, 0.1), **options)
+
+    def test_too_few_points(self):
+        with pytest.raises(InputError, match="model M4: expected at least 21 points"):
+            select_models(rig_points(25, 0.1))
+        # The candidates that they are enough for can be asked for.
+        assert select_models(rig_points(25, 0.1), forms=("M1", "M2")).selected["x"] in FORMS[:2]
+
+    def test_one_height(self):
+        points = rig_points(200, 0.1)
+        world = points.world.copy()
+        world[:, 2] = 0.25
+        with pytest.raises(InputError, match=r"z_mm: expected values that differ.*0\.25"):
+            select_models(CalibrationPoints(points.pixels, world))
+
+    def test_a_plane_of_inputs_names_the_smallest_form_that_fails(self):
+        points = rig_points(200)
+        pixels = points.pixels.copy()
+        pixels[:, 2] = 0.5 * pixels[:, 0] + 0.1 * pixels[:, 1]
+        with pytest.raises(InputError, match="term u_p of model M1"):
+            select_models(CalibrationPoints(pixels, points.world))
+
+    def test_epipolar_geometry_is_noticed(self):
+        with pytest.raises(InputError, match=r"model M2.*linear combination"):
+            select_models(rig_points(500), axes="uv")

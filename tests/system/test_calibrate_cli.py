@@ -1,0 +1,201 @@
+"""``slbench calibrate``: from points to a model, from frames to a cloud."""
+
+import json
+
+import numpy as np
+import pytest
+from calibration_data import rig_points
+from scenes_small import check_refused, run_cli, small, transport_of
+
+from slbench.calibration.model import CalibrationModel
+from slbench.calibration.points import COLUMNS, CalibrationPoints
+from slbench.capture import capture
+from slbench.io import read_ply
+
+
+def small_points(n, noise_px=0.05, seed=0):
+    """Points as the small plane scene's rig sees them."""
+    rig, rng = small("plane").rig, np.random.default_rng(seed)
+    world = (rng.random((n, 3)) - 0.5) * np.array(rig.volume_mm)
+    pixels = np.column_stack((rig.camera.project(world), rig.projector.project(world)))
+    return CalibrationPoints(pixels + noise_px * rng.normal(size=pixels.shape), world)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Points, models of one and of two axes, and captures of a plane at z = 0 of both."""
+    root = tmp_path_factory.mktemp("calibrate")
+    small_points(2000).write(root / "points.csv")
+    for axes in ("u", "uv"):
+        scene = small("plane", axes=axes)
+        capture(scene, transport_of("plane", axes)).save(root / f"capture-{axes}")
+        outcome = run_cli(
+            *("calibrate", "fit", root / "points.csv", "--out", root / f"{axes}.json"),
+            *("--axes", axes, "--json"),
+        )
+        assert outcome.status == 0, outcome.err
+        (root / f"{axes}.out").write_text(outcome.out)
+    return root
+
+
+def test_fit_prints_the_scores(folder):
+    result = json.loads((folder / "u.out").read_text())
+    assert list(result)[:3] == ["x", "y", "z"]
+    for name in "xyz":
+        assert set(result[name]["models"]) == {"M1", "M2", "M3", "M4"}
+        scores = {form: score["cv"] for form, score in result[name]["models"].items()}
+        assert result[name]["selected"] == min(scores, key=scores.get)
+        for score in result[name]["models"].values():
+            names = ("train_rms", "validation_rms", "validation_mad", "residual_ms", "cv")
+            assert set(names) <= set(score)
+            assert all(score[key] > 0 for key in names)
+    assert result["n"] == {"train": 1600, "validation": 400}
+    assert result["seed"] == 0
+    assert set(result["isometric"]) == {"validation_rms", "validation_mad"}
+    model = CalibrationModel.load(folder / "u.json")
+    assert [one.form.name for one in model.coordinates] == [result[c]["selected"] for c in "xyz"]
+
+
+def test_fit_prints_a_table(folder, tmp_path):
+    out = tmp_path / "model.json"
+    arguments = ("--seed", 3, "--validation", 0.3, "--models", "M1, M2", "--multivariate")
+    outcome = run_cli("calibrate", "fit", folder / "points.csv", "--out", out, *arguments)
+    assert outcome.status == 0, outcome.err
+    assert "x M1" in outcome.out
+    assert "M3" not in outcome.out
+    assert str(out) in outcome.out.replace("\n", "")
+    assert CalibrationModel.load(out).coordinates[0].form.name in ("M1", "M2")
+
+
+def test_fit_is_reproducible(folder, tmp_path):
+    for seed, same in ((0, True), (1, False)):
+        out = tmp_path / "model.json"
+        run_cli("calibrate", "fit", folder / "points.csv", "--out", out, "--seed", seed)
+        assert (out.read_bytes() == (folder / "u.json").read_bytes()) == same
+
+
+@pytest.mark.parametrize("axes", ["u", "uv"])
+def test_apply_measures_the_plane(folder, tmp_path, axes):
+    out = tmp_path / "cloud.ply"
+    arguments = (folder / f"{axes}.json", folder / f"capture-{axes}", "--out", out, "--json")
+    outcome = run_cli("calibrate", "apply", *arguments)
+    assert outcome.status == 0, outcome.err
+    result = json.loads(outcome.out)
+    points, fields = read_ply(out)
+    assert len(points) == result["points"] > 5000
+    outside = fields["extrapolated"] > 0
+    assert int(outside.sum()) == result["outside"]
+    # The plane is larger than the volume that the points fill; the hull of 1600 of them
+    # lacks a rim of some per cent.
+    beyond = np.any(
+        np.abs(points[:, :2]) > 0.5 * np.array(small("plane").rig.volume_mm[:2]), axis=1
+    )
+    assert beyond.any()
+    assert outside[beyond].all()
+    assert np.mean(outside[~beyond]) < 0.1
+    assert np.median(fields["sigma"]) == pytest.approx(result["predicted_sigma_mm"], rel=1e-6)
+    # The height of a plane at zero, to what is predicted for all three coordinates.
+    z = points[~outside, 2]
+    sigma = fields["sigma"][~outside]
+    assert np.mean(np.abs(z) < 1.96 * sigma) > 0.95
+    assert np.abs(np.median(z)) < 0.2 * np.median(sigma)
+
+    inside = run_cli("calibrate", "apply", *arguments, "--inside-only")
+    assert json.loads(inside.out)["points"] == result["points"] - result["outside"]
+    kept, fields = read_ply(out)
+    np.testing.assert_array_equal(kept, points[~outside])
+    assert not fields["extrapolated"].any()
+
+
+def test_apply_says_how_many_are_outside(folder, tmp_path):
+    out = tmp_path / "cloud.ply"
+    outcome = run_cli(
+        "calibrate", "apply", folder / "u.json", folder / "capture-u", "--out", out, "--inside-only"
+    )
+    assert outcome.status == 0
+    assert "pixels outside the model's domain left out" in outcome.out
+
+
+HEADER = ",".join(COLUMNS)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("u_c,v_c,u_p,x_mm,y_mm,z_mm\n1,2,3,4,5,6\n", ("line 1", "header")),
+        (HEADER + "\n", ("one row",)),
+        (HEADER + "\n1,2,nan,4,5,6,7\n", ("row 1", "finite")),
+        (HEADER + "\n1,2,3,4,5,6,x\n", ("line 2",)),
+        (HEADER + "\n1,2,3,4,5,6,7\n", ("enough",)),
+        ("", ("header",)),
+    ],
+)
+def test_bad_points_are_refused_in_one_line(tmp_path, text, words):
+    path, out = tmp_path / "points.csv", tmp_path / "model.json"
+    path.write_text(text)
+    check_refused(run_cli("calibrate", "fit", path, "--out", out), *words)
+    assert not out.exists()
+
+
+def test_unusable_points_are_refused_in_one_line(tmp_path):
+    path, out = tmp_path / "points.csv", tmp_path / "model.json"
+    small_points(20).write(path)
+    check_refused(run_cli("calibrate", "fit", path, "--out", out), "M4", "21 points")
+    points = rig_points(60, 0.1)
+    CalibrationPoints(points.pixels * [1, 1, 1, np.nan], points.world).write(path)
+    check_refused(run_cli("calibrate", "fit", path, "--out", out, "--axes", "uv"), "v_p")
+    assert run_cli("calibrate", "fit", path, "--out", out).status == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--axes", "x"), ("u or uv",)),
+        (("--models", "M5"), ("M5",)),
+        (("--models", ""), ("M1",)),
+        (("--validation", "0"), ("share",)),
+        (("--validation", "nan"), ("share",)),
+        (("--seed", "-1"), ("seed",)),
+        (("--out", "model.txt"), (".json",)),
+    ],
+)
+def test_bad_options_are_refused_in_one_line(folder, arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    check_refused(run_cli("calibrate", "fit", folder / "points.csv", *arguments), *words)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_models_and_captures_are_refused_in_one_line(folder, tmp_path):
+    out = tmp_path / "cloud.ply"
+
+    def check(model, shots, *words):
+        check_refused(run_cli("calibrate", "apply", model, shots, "--out", out), *words)
+        assert not out.exists()
+
+    check(tmp_path / "none.json", folder / "capture-u", "none.json")
+    bad = tmp_path / "bad.json"
+    bad.write_text((folder / "u.json").read_text()[:1000])
+    check(bad, folder / "capture-u", "bad.json", "JSON")
+    content = json.loads((folder / "u.json").read_text())
+    bad.write_text(json.dumps(content | {"version": 99}))
+    check(bad, folder / "capture-u", "version", "99")
+    check(folder / "uv.json", folder / "capture-u", "axes uv", "got u")
+    check(folder / "u.json", tmp_path, "capture.toml")
+    far = content | {"mean_px": [value + 1e5 for value in content["mean_px"]]}
+    bad.write_text(json.dumps(far))
+    arguments = ("--out", out, "--inside-only")
+    outcome = run_cli("calibrate", "apply", bad, folder / "capture-u", *arguments)
+    check_refused(outcome, "pixels in the model's domain")
+    check_refused(
+        run_cli(
+            *("calibrate", "apply", folder / "u.json", folder / "capture-u", "--out", "cloud.obj")
+        ),
+        ".ply",
+    )
+
+
+@pytest.mark.parametrize("command", ["fit", "apply"])
+def test_help_has_an_example(command):
+    status, out, _ = run_cli("calibrate", command, "--help")
+    assert status == 0
+    assert f"Example: slbench calibrate {command} " in " ".join(out.split())

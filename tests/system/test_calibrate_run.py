@@ -1,0 +1,91 @@
+"""``slbench calibrate run``: the whole experiment, its files, and measuring with its model."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from scenes_small import check_refused, run_cli
+
+from slbench.calibration.model import CalibrationModel
+from slbench.calibration.points import CalibrationPoints
+
+FILES = {
+    "points.csv",
+    "detections.csv",
+    "model.json",
+    "calibration.json",
+    "tables.md",
+    "models.png",
+    "residuals.png",
+    "provenance.json",
+}
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory):
+    out = tmp_path_factory.mktemp("calibration") / "run"
+    stage = ("--z-steps", 5, "--y-steps", 2)
+    done = run_cli("calibrate", "run", "ch8-grid", "--preview", *stage, "--out", out, "--json")
+    assert done.status == 0, done.err
+    return out, json.loads(done.out)
+
+
+def test_files_and_numbers(outcome):
+    out, printed = outcome
+    assert {path.name for path in out.iterdir()} == FILES
+    assert printed["positions"] == 10
+    points = CalibrationPoints.read(out / "points.csv")
+    assert len(points) == printed["points"] > 80
+    for name in "xyz":
+        assert set(printed[name]["models"]) == {"M1", "M2", "M3", "M4"}
+    model = CalibrationModel.load(out / "model.json")
+    error = model.predict(points.inputs("u")) - points.world
+    assert np.sqrt(np.mean(error**2)) < 5e-4
+    assert "thesis table 13" in (out / "tables.md").read_text()
+    for name in ("models.png", "residuals.png"):
+        assert cv2.imread(str(out / name)).shape[1] == 1300
+    baselines = printed["baselines"]["methods"]
+    assert {"polynomial", "linear table", "reciprocal table"} <= set(baselines)
+
+
+def test_the_model_measures_another_capture(outcome, tmp_path):
+    # A plate under the same microscope, measured with the calibration instead of the rig.
+    out, _ = outcome
+    status, _, err = run_cli("scan", "ch8-plane", "--preview", "--out", tmp_path / "plane")
+    assert status == 0, err
+    done = run_cli(
+        "calibrate",
+        "apply",
+        out / "model.json",
+        tmp_path / "plane",
+        "--out",
+        tmp_path / "cloud.ply",
+        "--inside-only",
+        "--json",
+    )
+    assert done.status == 0, done.err
+    assert json.loads(done.out)["points"] > 1000
+    from slbench.io import read_ply
+
+    cloud = read_ply(tmp_path / "cloud.ply")[0]
+    # The plate lies at z = 0: noise of one picture is some 0.14 um.
+    assert abs(float(np.median(cloud[:, 2]))) < 3e-4
+    assert np.median(np.abs(cloud[:, 2] - np.median(cloud[:, 2]))) < 5e-4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("nothing",), ("nothing",)),
+        (("ch8-plane",), ("a grid of dots",)),
+        (("ch8-grid", "--weights", "best"), ("--weights", "best")),
+        (("ch8-grid", "--remapping", "near"), ("--remapping", "near")),
+        (("ch8-grid", "--y-step-um", "nan"), ("stage", "nan")),
+        (("ch8-grid", "--stage-um", "inf"), ("stage", "inf")),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(arguments, words, tmp_path):
+    outcome = run_cli("calibrate", "run", *arguments, "--preview", "--out", tmp_path / "out")
+    check_refused(outcome, *words)
+    assert not (tmp_path / "out").exists()

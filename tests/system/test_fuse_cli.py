@@ -1,0 +1,202 @@
+"""``slbench fuse``, from photographs to an all-in-focus image."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from focus_stacks import psnr_db, slanted_plane
+from scenes_small import check_refused, run_cli
+
+from slbench.io import read_colour, read_exr, read_grey, write_png
+
+PLANE = slanted_plane(9, (72, 96))
+
+
+def photographs(folder, dtype=np.uint8, colour=False, suffix=".png"):
+    """Write the plane's frames; colour has its texture in different strengths."""
+    folder.mkdir()
+    top = np.iinfo(dtype).max
+    for p, frame in enumerate(PLANE.stack()):
+        image = np.stack([0.5 * frame, frame, 1 - frame], axis=2) if colour else frame
+        pixels = np.clip(np.rint(top * image), 0, top).astype(dtype)
+        stored = pixels[:, :, ::-1] if colour else pixels
+        assert cv2.imwrite(str(folder / f"shot{p + 2}{suffix}"), stored)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def grey(tmp_path_factory):
+    return photographs(tmp_path_factory.mktemp("fuse") / "grey")
+
+
+def fused(*arguments):
+    outcome = run_cli("fuse", *arguments, "--json")
+    assert outcome.status == 0, outcome.err
+    return json.loads(outcome.out)
+
+
+def test_grey_photographs(grey, tmp_path):
+    out = tmp_path / "results" / "sharp.png"
+    found = fused(grey, "--out", out)
+    names = ["sharp.png", "sharp-depth.exr", "sharp-selectivity.exr"]
+    assert sorted(path.name for path in out.parent.iterdir()) == sorted(names)
+    assert found["files"] == [str(out.parent / name) for name in names]
+    assert (found["frames"], found["bit_depth"], found["channels"]) == (9, 8, 1)
+    assert (found["height_px"], found["width_px"]) == (72, 96)
+    stack = PLANE.stack()
+    best = psnr_db(PLANE.select(stack, PLANE.nearest()), PLANE.sharp())
+    assert psnr_db(read_grey(out) / 255, PLANE.sharp()) > best - 3.0
+    # shot10 comes after shot9.
+    depth = read_exr(out.with_name(names[1]))["depth"][8:-8, 8:-8]
+    assert np.sqrt(np.mean((depth - PLANE.depth[8:-8]) ** 2)) < 0.2
+    selectivity = read_exr(out.with_name(names[2]))["selectivity"]
+    assert np.median(selectivity) == pytest.approx(found["median_selectivity_db"], abs=1e-4)
+    assert 0 < found["median_noise_gain"] < 1
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_16_bit_colour(tmp_path, suffix):
+    folder = photographs(tmp_path / "colour", np.uint16, True, suffix)
+    out = tmp_path / "sharp.png"
+    found = fused(folder, "--out", out)
+    assert (found["bit_depth"], found["channels"]) == (16, 3)
+    image = read_colour(out)
+    assert image.dtype == np.uint16
+    # All channels by the same weights: they keep their relation, to rounding.
+    red, green, blue = np.moveaxis(image.astype(float), 2, 0)
+    np.testing.assert_allclose(red, green / 2, atol=1.5)
+    np.testing.assert_allclose(blue, 65535 - green, atol=1.5)
+
+
+def test_jpeg_and_table(tmp_path):
+    folder = photographs(tmp_path / "jpeg", suffix=".jpg")
+    status, out, err = run_cli("fuse", folder, "--out", tmp_path / "a.png")
+    assert status == 0, err
+    for word in ("9 photographs", "96 x 72", "8 bit", "selectivity", "a.png"):
+        assert word in out
+
+
+@pytest.mark.parametrize("method", ["maximum", "pyramid"])
+def test_baselines(grey, tmp_path, method):
+    found = fused(grey, "--out", tmp_path / "a.png", "--method", method)
+    assert found["method"] == method
+    maps = [] if method == "pyramid" else ["a-depth.exr", "a-selectivity.exr"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.png", *maps])
+    assert psnr_db(read_grey(tmp_path / "a.png") / 255, PLANE.sharp()) > 32
+
+
+def test_options_reach_the_weights(grey, tmp_path):
+    outputs = []
+    for k, options in enumerate(
+        [
+            (),
+            ("--variant", "published"),
+            ("--measure", "laplacian"),
+            ("--measure", "gradient"),
+            ("--window", 5),
+            ("--align", "translation"),
+        ]
+    ):
+        fused(grey, "--out", tmp_path / f"{k}.png", *options)
+        outputs.append(read_exr(tmp_path / f"{k}-depth.exr")["depth"].tobytes())
+    assert len(set(outputs)) == len(outputs)
+
+
+def test_alignment_undoes_a_shift(tmp_path):
+    """Frames cut one pixel further each: aligned, they fuse sharply."""
+    folder = tmp_path / "shifted"
+    folder.mkdir()
+    dn = np.rint(255 * PLANE.stack()).astype(np.uint8)
+    for p in range(9):
+        write_png(folder / f"{p}.png", np.ascontiguousarray(dn[p, :, p : p + 88]))
+    found = fused(folder, "--out", tmp_path / "a.png", "--align", "translation")
+    assert found["reference"] == 4
+    assert found["least_correlation"] > 0.5
+    crooked = fused(folder, "--out", tmp_path / "b.png")
+    assert "reference" not in crooked
+    truth = PLANE.sharp()[:, 4:92]
+    aligned, plain = (psnr_db(read_grey(tmp_path / n) / 255, truth) for n in ("a.png", "b.png"))
+    assert aligned > plain + 6.0
+
+
+def test_two_photographs(grey, tmp_path):
+    folder = tmp_path / "two"
+    folder.mkdir()
+    for name in ("shot3.png", "shot4.png"):
+        (folder / name).write_bytes((grey / name).read_bytes())
+    found = fused(folder, "--out", tmp_path / "a.png")
+    assert found["median_selectivity_db"] is None
+    status, out, err = run_cli("fuse", folder, "--out", tmp_path / "a.png")
+    assert (status, "nan" in out) == (0, False), err
+    check_refused(
+        run_cli("fuse", folder, "--out", tmp_path / "b.png", "--variant", "published"), "5 frames"
+    )
+
+
+class TestBadInput:
+    @pytest.fixture
+    def folder(self, tmp_path):
+        folder = tmp_path / "photographs"
+        folder.mkdir()
+        rng = np.random.default_rng(0)
+        for k in range(5):
+            write_png(folder / f"{k}.png", rng.integers(0, 256, (40, 48), dtype=np.uint8))
+        return folder
+
+    def refused(self, folder, *words, options=(), out=None):
+        out = folder.parent / "out" / "fused.png" if out is None else out
+        before = sorted(folder.parent.rglob("*"))
+        check_refused(run_cli("fuse", folder, "--out", out, *options), *words)
+        left = [path for path in folder.parent.rglob("*") if path not in before]
+        assert [path for path in left if path.is_file()] == []
+
+    @pytest.mark.parametrize(
+        ("options", "words"),
+        [
+            (("--method", "wavelet"), ["--method", "pyramid"]),
+            (("--align", "rotation"), ["--align", "affine"]),
+            (("--measure", "entropy"), ["measure", "laplacian"]),
+            (("--variant", "old"), ["variant", "published"]),
+            (("--window", 4), ["window", "odd"]),
+            (("--align", "translation"), ["frame", "aligns"]),  # frames of noise
+        ],
+    )
+    def test_options(self, folder, options, words):
+        self.refused(folder, *words, options=options)
+
+    def test_out(self, folder):
+        self.refused(folder, "--out", ".png", out=folder.parent / "fused.jpg")
+        self.refused(folder, "--out", "outside", out=folder / "fused.png")
+        self.refused(folder, "--out", "outside", out=folder / ".." / folder.name / "fused.png")
+        taken = folder.parent / "taken.png"
+        taken.mkdir()
+        self.refused(folder, "--out", "a folder", out=taken)
+        self.refused(folder, "--out", "a file", out=folder / "1.png" / "fused.png")
+
+    def test_photographs(self, folder):
+        content = (folder / "3.png").read_bytes()
+        write_png(folder / "3.png", np.zeros((40, 47), dtype=np.uint8))
+        self.refused(folder, "3.png", "(40, 48)", "(40, 47)")
+        write_png(folder / "3.png", np.zeros((40, 48), dtype=np.uint16))
+        self.refused(folder, "3.png", "uint8", "uint16")
+        (folder / "3.png").write_bytes(b"not an image")
+        self.refused(folder, "3.png", "decoded")
+        (folder / "3.png").write_bytes(content[: len(content) // 2])
+        self.refused(folder, "3.png")
+        (folder / "3.png").write_bytes(b"")
+        self.refused(folder, "3.png")
+
+    def test_folders(self, folder):
+        for k in range(4):
+            (folder / f"{k}.png").unlink()
+        self.refused(folder, "at least 2", "got 1")
+        self.refused(folder.parent / "missing", "missing", "nothing")
+
+    def test_a_failure_keeps_an_earlier_result(self, folder):
+        out = folder.parent / "out" / "fused.png"
+        fused(folder, "--out", out)
+        before = {path.name: path.read_bytes() for path in out.parent.iterdir()}
+        write_png(folder / "4.png", np.zeros((4, 4), dtype=np.uint8))
+        check_refused(run_cli("fuse", folder, "--out", out), "4.png")
+        assert {path.name: path.read_bytes() for path in out.parent.iterdir()} == before
