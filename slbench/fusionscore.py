@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.capture import exposure, radiance_batches
+from slbench.capture import Capture, capture, exposure, radiance_batches
 from slbench.detector import expected_dn
 from slbench.errors import InputError
 from slbench.focusstack import FocusStack, FusedCapture
@@ -106,7 +106,7 @@ def score_fusion(
     phases: dict[str, list[Array]] = {"true": [], "fused": [], "middle": []}
     top = 2.0 ** stack.captures[0].bit_depth - 1.0
     scale = 2.0 ** (fused.capture.bit_depth - stack.captures[0].bit_depth)
-    factor, exposure_s = _exposure_of(stack, scene, transport)
+    factor, exposure_s = stack_exposure(stack, scene, transport)
     for indices, radiance in radiance_batches(scene, transport):
         for k, image in zip(indices.tolist(), radiance, strict=True):
             true = expected_dn(scene.detector, np.maximum(image, 0.0) * factor, exposure_s)
@@ -145,13 +145,30 @@ def _blur(truth: GroundTruth, fringes: Fringes, size: int) -> Array:
         return np.hypot(truth.projector_coc, slope * truth.camera_coc) * fringes.count / size
 
 
-def _exposure_of(stack: FocusStack, scene: Scene, transport: LightTransport) -> tuple[float, float]:
-    """Photons per unit radiance and exposure time with which the stack was captured.
+def stack_exposure(
+    stack: FocusStack, scene: Scene, transport: LightTransport
+) -> tuple[float, float]:
+    """Return the photons per unit radiance and the exposure time that a stack was captured with.
 
-    The stack was exposed for its middle setting, through apertures; a pinhole's picture has the
-    same radiance where it is sharp, so that the white level relates the two.
+    The time is the stack's own.  `scene` has its focus settings and `transport` is that of the
+    scene through pinholes, which show the same radiance where an aperture's picture is sharp.
     """
     middle = scene.focused(len(stack) // 2)
     time = stack.captures[0].exposure_s
     factor, automatic = exposure(middle, transport)
     return (factor, automatic) if time is None else (factor * time / automatic, time)
+
+
+def all_in_focus(stack: FocusStack, scene: Scene, transport: LightTransport) -> Capture:
+    """Return the expected frames of the scene through pinholes, exposed as the stack was.
+
+    Parameters
+    ----------
+    stack : FocusStack
+    scene : Scene
+        With the patterns of the stack and its focus settings.
+    transport : LightTransport
+        Of ``scene.all_in_focus()``.
+    """
+    light = stack_exposure(stack, scene, transport)
+    return capture(scene.all_in_focus(), transport, noise=False, light=light)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.fusionscore import all_in_focus
 from slbench.io import atomic_folder, write_json, write_ply, write_provenance
 from slbench.objects import Mesh
 from slbench.reconstruct import PointCloud
@@ -25,12 +26,15 @@ def write_scan(result: Scan, folder: str | Path) -> list[Path]:
     list of Path
         Frames and manifest (``capture.toml``, ``frames/``, ``rig.yaml``), ``truth.exr``,
         ``transport.npz``, ``cloud.ply`` (where there are points), ``score.json``,
-        ``summary.png``, ``provenance.json``; ``stack/`` where there are focus settings.
+        ``summary.png``, ``provenance.json``; with focus settings also ``stack/``
+        and ``all-in-focus/``, the expected frames through pinholes.
     """
     with atomic_folder(folder) as temporary:
         result.capture.save(temporary)
         if result.stack is not None:
             result.stack.save(temporary / "stack")
+            sharp = all_in_focus(result.stack, result.scene, result.transport)
+            sharp.save(temporary / "all-in-focus")
         result.truth.save(temporary / "truth.exr")
         result.transport.save(temporary / "transport.npz")
         if len(result.cloud):

@@ -16,6 +16,7 @@ from slbench.patterns import Flat, Fringes, NoiseModel, PatternSequence, relativ
 from slbench.render.trace import trace
 from slbench.rig import Pose
 from slbench.scan import capture_stack, scan, with_lit_frame
+from slbench.scanfolder import write_scan
 from slbench.scene import Focus, SceneObject
 from slbench.scenefile import load_scene
 
@@ -287,6 +288,13 @@ def test_scan_of_a_stack(speckled, tmp_path):
     assert out.phase_rms < 0.5 * result.fusion.middle_outside.phase_rms
     assert out.intensity_rms < result.fusion.middle_outside.intensity_rms
     assert result.to_dict()["fusion"]["finest"] == 32
+    # Folder: the stack, and what a perfect one would have fused to.
+    write_scan(result, tmp_path / "scan")
+    assert len(FocusStack.load(tmp_path / "scan" / "stack")) == 3
+    sharp = Capture.load(tmp_path / "scan" / "all-in-focus")
+    assert sharp.sequence == result.capture.sequence
+    difference = sharp.frames.astype(float) - result.capture.frames / 256.0
+    assert np.sqrt(np.mean(difference**2)) / 255 < 2 * out.intensity_rms
     # The same seed gives the same bytes.
     again = scan(scene, weights="modulation", seed=3)
     np.testing.assert_array_equal(again.capture.frames, result.capture.frames)

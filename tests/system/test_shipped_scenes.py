@@ -23,6 +23,8 @@ THESIS = {
     "ch8-watch-gear",
     "ch8-grid",
     "ch8-plane",
+    "ch8-stack",
+    "ch8-grid-stack",
 }
 
 
