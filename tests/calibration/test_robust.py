@@ -240,6 +240,7 @@ class TestJointFit:
         expected = np.linalg.solve(blocks.T @ inverse @ blocks, blocks.T @ inverse @ y.T.ravel())
         np.testing.assert_allclose(np.concatenate(joint.coefficients), expected, atol=1e-9)
 
+    @pytest.mark.slow
     def test_different_terms_gain_from_correlated_residuals(self):
         """The response with more terms borrows from those with fewer (Zellner)."""
         sizes, alone, together = (4, 4, 10), [], []

@@ -82,6 +82,7 @@ def test_other_stacks_move_alike():
         found.apply(stack[:5])
 
 
+@pytest.mark.slow
 def test_large_frames_are_found_at_reduced_size():
     """Enlarged eightfold: pixel centres must be kept, or 3.5 pixels would show."""
     stack, truth, _ = moved("translation")
