@@ -23,6 +23,7 @@ from slbench.cli.common import (
 
 app = new_app("Design of structured-light systems: rigs and pattern sequences.")
 app.command(epilog=f"Example: {patterns.EXAMPLE}")(patterns.patterns)
+app.command(epilog=f"Example: {patterns.NOISE_EXAMPLE}")(patterns.noise)
 
 HardwareName = Annotated[
     str, typer.Argument(help="A hardware file, or the name of a shipped one: hardware/macro-ch6.")

@@ -1,4 +1,4 @@
-"""``slbench design patterns``."""
+"""``slbench design patterns`` and ``design noise``."""
 
 from __future__ import annotations
 
@@ -9,7 +9,16 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from slbench.cli.common import Json, Preview, Seed, print_json, print_table, progress
+from slbench.cli.common import (
+    Json,
+    Preview,
+    SceneName,
+    Seed,
+    check_folder,
+    print_json,
+    print_table,
+    progress,
+)
 from slbench.errors import InputError
 
 EXAMPLE = (
@@ -17,8 +26,29 @@ EXAMPLE = (
     "--phase-model thesis --json"
 )
 
+NOISE_EXAMPLE = "slbench design noise ch8-stack --preview --repeats 4 --out out/noise"
+
+
+#: Which options go with what: (option, what it needs).
+APPLIES = {
+    "noise_step": "--criterion thesis",
+    "phase_model": "--criterion thesis",
+    "method": "--criterion thesis",
+    "mc_repeats": "--method monte-carlo",
+    "max_order_error": "--criterion bounded",
+    "frames": "--criterion bounded",
+    "axis": "--capture",
+    "estimator": "--capture",
+    "repeats": "--scene",
+    "scans": "--scene",
+    "preview": "--scene",
+    "shifts": "--noise-rad, --noise-table or --scene",
+    "seed": "--scene or --method monte-carlo",
+}
+
 
 def patterns(
+    context: typer.Context,
     width_px: Annotated[
         int | None, typer.Option(help="Coded panel width; a scene or a capture has its own.")
     ] = None,
@@ -30,13 +60,16 @@ def patterns(
         list[Path] | None,
         typer.Option(help="Folder of one of several captures of a plane; give each."),
     ] = None,
+    axis: Annotated[str, typer.Option(help="capture: fringes along u or v.")] = "u",
+    estimator: Annotated[str, typer.Option(help="capture: per-pixel or pooled.")] = "per-pixel",
     scene: Annotated[
         str | None,
         typer.Option(help="Scene whose rig's noise is simulated; the design is then scanned."),
     ] = None,
     criterion: Annotated[str, typer.Option(help="thesis or bounded.")] = "thesis",
     safety: Annotated[
-        float, typer.Option(help="thesis: the grid reaches this many times the noise.")
+        float,
+        typer.Option(help="Noise to be prepared for: the grid's extent (thesis), the bound's."),
     ] = 2.0,
     noise_step: Annotated[
         float | None, typer.Option(help="thesis: step of the grid, rad.  [default: 1/72 of it]")
@@ -45,6 +78,9 @@ def patterns(
         str, typer.Option(help="thesis: ideal phases, exact or as thesis eq. 27 and 28.")
     ] = "exact",
     method: Annotated[str, typer.Option(help="thesis: exact or monte-carlo.")] = "exact",
+    mc_repeats: Annotated[
+        int, typer.Option(min=1, help="monte-carlo: captures of all pixels a noise level.")
+    ] = 20,
     max_order_error: Annotated[
         float, typer.Option(help="bounded: probability of any fringe-order error a pixel.")
     ] = 1e-6,
@@ -54,10 +90,15 @@ def patterns(
     max_fringes: Annotated[int | None, typer.Option(help="Most fringes of a candidate.")] = None,
     min_px_per_fringe: Annotated[float, typer.Option(help="Least pixels a fringe.")] = 5.0,
     shifts: Annotated[int, typer.Option(min=3, help="Phase shifts that the noise is for.")] = 3,
-    repeats: Annotated[
-        int, typer.Option(min=2, help="Captures for the noise, and of the Monte Carlo.")
-    ] = 20,
-    scans: Annotated[int, typer.Option(min=2, help="Scans that verify a scene's design.")] = 15,
+    compare: Annotated[
+        list[str] | None,
+        typer.Option(help="Another sequence to predict and scan, such as 1,2,4; give each."),
+    ] = None,
+    repeats: Annotated[int, typer.Option(min=2, help="scene: captures for the noise.")] = 20,
+    scans: Annotated[int, typer.Option(min=2, help="scene: scans a sequence to verify.")] = 15,
+    write_noise: Annotated[
+        Path | None, typer.Option(help="CSV to write the noise to, as --noise-table reads it.")
+    ] = None,
     plot: Annotated[Path | None, typer.Option(help="Figure to write (.png, .pdf, .svg).")] = None,
     seed: Seed = 0,
     preview: Preview = False,
@@ -83,13 +124,16 @@ def patterns(
         raise InputError("noise", f"one of {', '.join(sources)}", " and ".join(given) or "none")
     if criterion not in ("thesis", "bounded"):
         raise InputError("--criterion", "thesis or bounded", criterion)
-    if frames is not None and criterion == "thesis":
-        raise InputError("--frames", "--criterion bounded, which spends them", "thesis")
+    chosen = [given[0], f"--criterion {criterion}"]
+    _check_options(context, chosen + ([f"--method {method}"] if criterion == "thesis" else []))
+    if axis not in ("u", "v"):
+        raise InputError("--axis", "u or v", axis)
     if plot is not None:
         check_figure(plot)
     loaded = None if scene is None else load_scene(scene, preview=preview)
     shots = [Capture.load(folder) for folder in capture or ()]
-    widths = [loaded.rig.projector.width] if loaded else [s.sequence.panel[0] for s in shots[:1]]
+    side = "uv".index(axis)
+    widths = [loaded.rig.projector.width] if loaded else [s.sequence.panel[side] for s in shots[:1]]
     width = _width(width_px, widths)
     counts = candidates(width, max_fringes=max_fringes, min_px_per_fringe=min_px_per_fringe)
 
@@ -104,8 +148,18 @@ def patterns(
                 loaded, counts, repeats=repeats, shifts=shifts, seed=seed, on_progress=report
             )
         else:
-            noise = noise_of_captures(shots)
+            noise = noise_of_captures(
+                shots,
+                axis,  # type: ignore[arg-type]
+                estimator=estimator,  # type: ignore[arg-type]
+                names=[str(folder) for folder in capture or ()],
+            )
+        if write_noise is not None:
+            noise.write(write_noise)
+        left_out = _left_out(noise, counts, width)
         counts = usable(counts, noise)
+        seconds = {"noise": time.perf_counter() - begin}
+        _load_compiled(criterion, method)
         start = time.perf_counter()
         if criterion == "thesis":
             design = thesis_sequence(
@@ -116,35 +170,47 @@ def patterns(
                 noise_step=noise_step,
                 phase_model=phase_model,  # type: ignore[arg-type]
                 method=method,  # type: ignore[arg-type]
-                repeats=repeats,
+                repeats=mc_repeats,
                 seed=seed,
                 on_progress=report,
             )
         else:
             design = bounded_sequence(
-                width, noise, counts, max_probability=max_order_error, frames=frames
+                width,
+                noise,
+                counts,
+                max_probability=max_order_error,
+                safety=safety,
+                frames=frames,
+                on_progress=report,
             )
-        seconds = {"noise": start - begin, "design": time.perf_counter() - start}
+        seconds["design"] = time.perf_counter() - start
         others = {
             "doubling": doubling(width, noise, counts),
             "single step": single_step(width, noise, counts),
         }
+        for text in compare or ():
+            others[text] = _predicted(text, width, noise)
         trials = []
         if loaded is not None:
+            start = time.perf_counter()
             trials = scan_repeatedly(
                 loaded, [design, *others.values()], repeats=scans, seed=seed, on_progress=report
             )
-            seconds["scans"] = time.perf_counter() - begin - sum(seconds.values())
+            seconds["scans"] = time.perf_counter() - start
     if plot is not None:
         draw(design, noise, plot, others)
 
+    name = design.sequence((width, width)).name
     if as_json:
         print_json(
             design.to_dict()
             | {
+                "patterns": name,
                 "criterion": criterion,
                 "width_px": width,
                 "candidates": counts,
+                "left_out": left_out,
                 "noise_rad": noise.typical_rad,
                 "noise": [
                     {"fringes": n, "z_mm": noise.z_mm, "sigma_rad": row}
@@ -157,17 +223,143 @@ def patterns(
         )
         return
     print_table(_table(design, others))
+    if len(design.fringes) == 1 and len(counts) > 1:
+        print("no step is worth it: more --frames (bounded) or less --safety may allow one")
+    for count, why in left_out.items():
+        print(f"no candidate: {count} fringes, {why}")
     for trial in trials:
-        text = ", ".join(map(str, trial.fringes))
-        print(
-            f"scanned {trial.repeats} times with {{{text}}}: {trial.std_px:.4g} px "
-            f"(predicted {trial.predicted_px:.4g}, with the scene's surfaces "
-            f"{trial.expected_px:.4g}), "
-            f"order errors {trial.order_error_rate:.2g} "
-            f"(expected {trial.expected_order_error_rate:.2g})"
+        _print_trial(trial)
+    along = f" --axes {axis}" if axis != "u" else ""
+    print(f'slbench scan {scene or "SCENE"} --patterns "{name}"{along}')
+    for path in (write_noise, plot):
+        if path is not None:
+            print(f"Written to {path}")
+
+
+def _check_options(context: typer.Context, chosen: list[str]) -> None:
+    """Refuse options that the user gave and that the chosen source, criterion or method ignores."""
+    for name, needs in APPLIES.items():
+        source = context.get_parameter_source(name)
+        if source is None or source.name == "DEFAULT":
+            continue
+        if not any(choice in needs.replace(" or ", ", ").split(", ") for choice in chosen):
+            raise InputError(f"--{name.replace('_', '-')}", f"only with {needs}", ", ".join(chosen))
+
+
+def _left_out(noise: Any, counts: list[int], width: int) -> dict[int, str]:
+    """Return why counts of the noise table are no candidates."""
+    found = {}
+    for count, row in zip(noise.fringes.tolist(), noise.sigma_rad, strict=True):
+        lost = [f"{z:g}" for z, sigma in zip(noise.z_mm, row, strict=True) if sigma == float("inf")]
+        if width % count:
+            found[count] = f"no divisor of {width} px"
+        elif count not in counts:
+            found[count] = "finer than --min-px-per-fringe or --max-fringes allow"
+        elif lost:
+            found[count] = f"not measurable at z = {', '.join(lost)} mm"
+    return found
+
+
+def _predicted(text: str, width: int, noise: Any) -> Any:
+    """Return the prediction for a sequence such as ``1,2,4`` or ``1,8@12``."""
+    from slbench.design.fringes import predict
+    from slbench.patterns import Fringes, PatternSequence
+
+    parts = PatternSequence.parse(text, (width, width), shifts=noise.shifts, axes="u").parts
+    sets = [part for part in parts if isinstance(part, Fringes)]
+    if len(sets) < len(parts):
+        raise InputError("--compare", "fringe sets alone", text)
+    return predict(width, noise, [part.count for part in sets], [part.shifts for part in sets])
+
+
+def _load_compiled(criterion: str, method: str) -> None:
+    """Design a tiny case, so that loading compiled code is not in the time of the real one."""
+    from slbench.design.bounded import bounded_sequence
+    from slbench.design.fringes import thesis_sequence
+    from slbench.design.noise import PhaseNoise
+
+    tiny = PhaseNoise.constant(0.2, [1, 2, 4])
+    if criterion == "bounded":
+        bounded_sequence(20, tiny, [1, 2, 4])
+    elif method in ("exact", "monte-carlo"):
+        thesis_sequence(20, tiny, [1, 2, 4], method=method, repeats=1, noise_step=0.1)  # type: ignore[arg-type]
+
+
+def _print_trial(trial: Any) -> None:
+    text = ", ".join(map(str, trial.fringes))
+    groups = {"lit like the plate": trial.plate_like, "others": trial.other}
+    print(
+        f"{{{text}}} scanned {trial.repeats} times; predicted {trial.predicted_px:.4g} px, "
+        f"order errors {trial.predicted_order_error_probability:.2g}"
+    )
+    for name, group in groups.items():
+        if group is not None:
+            print(
+                f"  {group.pixels} px {name}, measured {100 * group.measured:.3g} %: "
+                f"{group.std_px:.4g} px (expected {group.expected_px:.4g}), order errors "
+                f"{group.order_error_rate:.2g} (expected {group.expected_order_error_rate:.2g})"
+            )
+
+
+def noise(
+    scene: SceneName,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/noise"),
+    heights: Annotated[int, typer.Option(min=1, max=1000, help="Heights through the volume.")] = 11,
+    max_fringes: Annotated[int | None, typer.Option(help="Most fringes to measure.")] = None,
+    min_px_per_fringe: Annotated[float, typer.Option(help="Least pixels a fringe.")] = 5.0,
+    shifts: Annotated[int, typer.Option(min=3, help="Phase shifts.")] = 3,
+    repeats: Annotated[int, typer.Option(min=2, help="Captures of each height.")] = 20,
+    seed: Seed = 0,
+    preview: Preview = False,
+    as_json: Json = False,
+) -> None:
+    """Measure the phase noise of a scene's rig by fringes and height, as thesis fig. 25."""
+    import numpy as np
+
+    from slbench.design.characterise import characterise, draw
+    from slbench.design.fringes import candidates
+    from slbench.io import atomic_folder, write_provenance
+    from slbench.scenefile import load_scene
+
+    check_folder(out)
+    loaded = load_scene(scene, preview=preview)
+    counts = candidates(
+        loaded.rig.projector.width, max_fringes=max_fringes, min_px_per_fringe=min_px_per_fringe
+    )
+    half = 0.5 * loaded.rig.volume_mm[2]
+    z_mm = np.linspace(-half, half, heights).tolist() if heights > 1 else [0.0]
+    with progress(as_json) as report:
+        found = characterise(
+            loaded,
+            counts,
+            z_mm=z_mm,
+            repeats=repeats,
+            shifts=shifts,
+            seed=seed,
+            on_progress=report,
         )
-    if plot is not None:
-        print(f"Written to {plot}")
+    with atomic_folder(out) as temporary:
+        for name, measured in found.items():
+            measured.write(temporary / f"{name}.csv")
+        draw(found, temporary / "noise.png")
+        parameters = {"scene": loaded.specification, "repeats": repeats, "shifts": shifts}
+        write_provenance(temporary, parameters, seed)
+    if as_json:
+        values = {
+            name: {"fringes": t.fringes, "z_mm": t.z_mm, "sigma_rad": t.sigma_rad}
+            for name, t in found.items()
+        }
+        print_json(values | {"out": str(out)})
+        return
+    for name, measured in found.items():
+        table = Table(title=f"{name}: noise / rad by height and fringes")
+        table.add_column("z / mm", justify="right")
+        for count in measured.fringes:
+            table.add_column(str(count), justify="right")
+        for z, column in zip(measured.z_mm, measured.sigma_rad.T, strict=True):
+            table.add_row(f"{z:g}", *(f"{s:.4f}" if np.isfinite(s) else "-" for s in column))
+        print_table(table)
+    print(f"Written to {out}: slbench design patterns --noise-table takes the tables")
 
 
 def _width(given: int | None, known: list[int]) -> int:

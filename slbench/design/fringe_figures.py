@@ -60,15 +60,18 @@ def draw(
     rows = 2 if design.surfaces else 1
     figure = Figure(figsize=(12.0, 5.0 * rows), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(rows, 2)
     if design.surfaces:
         last = len(design.surfaces)
         for column, number in enumerate((1, last)):
-            axes = figure.add_subplot(rows, 2, column + 1, projection="3d")
+            axes = figure.add_subplot(grid[0, column], projection="3d", computed_zorder=False)
             _draw_surfaces(axes, design, number)
-    _draw_noise(figure.add_subplot(rows, 2, 2 * rows - 1), design, noise)
-    _draw_sequences(
-        figure.add_subplot(rows, 2, 2 * rows), {"designed": design, **(others or {})}, noise
-    )
+    designs = {"designed": design, **(others or {})}
+    if np.ptp(noise.sigma_rad) == 0.0:  # one number, which needs no picture
+        _draw_sequences(figure.add_subplot(grid[-1, :]), designs, noise)
+    else:
+        _draw_noise(figure.add_subplot(grid[-1, 0]), design, noise)
+        _draw_sequences(figure.add_subplot(grid[-1, 1]), designs, noise)
     text = ", ".join(map(str, design.fringes))
     figure.suptitle(
         f"{{{text}}} on {design.width_px} px: {design.frames} frames, "
@@ -87,21 +90,24 @@ def _draw_surfaces(axes: Any, design: SequenceDesign, number: int) -> None:
     shown: NDArray[np.intp] = np.arange(0, len(levels), every)
     reference, relative = np.meshgrid(levels[shown], levels[shown], indexing="ij")
     shades = colormaps["viridis"](np.linspace(0.0, 1.0, len(surfaces)))
-    for shade, (fringes, surface) in zip(shades, surfaces.items(), strict=True):
+    colours = dict(zip(surfaces, shades, strict=True)) | {chosen: "tab:red"}
+    # The chosen sheet last, as it lies below most of the others.
+    for fringes in sorted(surfaces, key=lambda n: n == chosen):
         mine = fringes == chosen
         axes.plot_surface(
             reference,
             relative,
-            np.log10(surface[np.ix_(shown, shown)]),
-            color="tab:red" if mine else shade,
-            alpha=0.9 if mine else 0.45,
+            np.log10(surfaces[fringes][np.ix_(shown, shown)]),
+            color=colours[fringes],
+            alpha=0.85 if mine else 0.3,
             linewidth=0,
             shade=False,
         )
-        axes.plot([], [], "s", color="tab:red" if mine else shade, label=str(fringes))
-    axes.legend(title="fringes", fontsize=7, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    for fringes, colour in colours.items():
+        axes.plot([], [], "s", color=colour, label=str(fringes))
+    axes.legend(title="fringes", fontsize=7, loc="center right", bbox_to_anchor=(1.08, 0.55))
     axes.locator_params(nbins=5)
-    axes.view_init(elev=18, azim=-130)
+    axes.view_init(elev=14, azim=-125)
     axes.set_xlabel(r"$\sigma_{\Phi,ref}$ of the first reference / rad")
     axes.set_ylabel(r"$\sigma_\phi$ / rad")
     axes.set_zlabel(r"$\log_{10}\,\sigma_\Phi$ / rad of one fringe")
@@ -138,7 +144,8 @@ def _draw_sequences(axes: Any, designs: dict[str, SequenceDesign], noise: PhaseN
             [step.sigma_px for step in steps],
             "o-" if k == 0 else "x--",
             markersize=7 if k == 0 else 5,
-            label=f"{name}: {', '.join(map(str, design.fringes))}",
+            # A sequence that has no name is called what it is.
+            label=name if name[:1].isdigit() else f"{name}: {', '.join(map(str, design.fringes))}",
         )
     _fringe_axis(axes, noise)
     axes.set_ylabel("predicted noise of the panel coordinate / px")

@@ -3,8 +3,10 @@
 Thesis eq. 25 estimates one number from repeated captures of a plane.  As printed it pools all
 pixels around one common mean, which measures noise only where the phase map is constant: over
 a plane that is seen at an angle, or coded by fringes at all, the ramp of the phase itself is
-far larger than its noise.  What the text means, and what is done by default, is a deviation
-from each pixel's own mean over the repeats, averaged over the pixels.  Both are here.
+far larger than its noise.  What the text means is a deviation from each pixel's own mean over
+the repeats, and an average of these over the pixels.  That is done by default, with the root mean
+square for the average, because variances add up and deviations do not: it is the larger one where
+pixels differ (by 6 % if half of them have twice the noise of the others).  Both are here.
 
 Where the projector or the camera defocuses, fine fringes lose modulation and their noise grows
 (thesis 5.3): a :class:`PhaseNoise` therefore holds sigma_phi(n, z).
@@ -14,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from hashlib import blake2b
 from math import pi, sqrt
 from pathlib import Path
 from typing import Literal
@@ -68,7 +71,7 @@ class PhaseNoise:
         finite = self.sigma_rad[np.isfinite(self.sigma_rad)]
         if not (np.all(self.sigma_rad > 0.0) and np.all(finite <= pi)):
             expected = "positive numbers (rad), at most pi unless infinite"
-            raise InputError("phase noise: sigma_rad", expected, "others")
+            raise InputError("phase noise: sigma_rad", expected, _first_bad(self.sigma_rad))
         if self.fringes[0] < 1:
             raise InputError("phase noise: fringes", "counts of at least 1", self.fringes[0])
 
@@ -91,13 +94,15 @@ class PhaseNoise:
         """
         rows = read_table(path, COLUMNS, finite=False)
         if not np.all(np.isfinite(rows[:, :2])):
-            raise InputError(path, "finite fringes and heights", "others")
-        if np.any(rows[:, 0] != np.rint(rows[:, 0])) or np.any(rows[:, 0] < 1):
-            raise InputError(f"{path}: fringes", "whole numbers >= 1", "others")
+            bad = rows[:, :2][~np.isfinite(rows[:, :2])][0]
+            raise InputError(path, "finite fringes and heights", bad)
+        odd = (rows[:, 0] != np.rint(rows[:, 0])) | (rows[:, 0] < 1)
+        if np.any(odd):
+            raise InputError(f"{path}: fringes", "whole numbers >= 1", rows[odd, 0][0])
         finite = rows[np.isfinite(rows[:, 2]), 2]
         if not (np.all(rows[:, 2] > 0.0) and np.all(finite <= pi)):
             expected = "positive numbers (rad), at most pi, or inf where none was measured"
-            raise InputError(f"{path}: sigma_rad", expected, "others")
+            raise InputError(f"{path}: sigma_rad", expected, _first_bad(rows[:, 2]))
         counts, which = np.unique(rows[:, 0], return_inverse=True)
         heights, where = np.unique(rows[:, 1], return_inverse=True)
         sigma = np.full((len(counts), len(heights)), np.nan)
@@ -141,6 +146,12 @@ class PhaseNoise:
     def typical_rad(self) -> float:
         """Noise of the first count, RMS over the heights, rad: the sigma of the thesis's grid."""
         return float(np.sqrt(np.mean(self.sigma_rad[0] ** 2)))
+
+
+def _first_bad(sigma: Array) -> float:
+    """Return the first deviation that is neither within (0, pi] nor infinite."""
+    good = (sigma > 0.0) & ((sigma <= pi) | np.isinf(sigma))
+    return float(sigma[~good].flat[0])
 
 
 @dataclass(frozen=True)
@@ -206,6 +217,7 @@ def noise_of_captures(
     *,
     estimator: Estimator = "per-pixel",
     min_modulation: float = 3.0,
+    names: Sequence[str] | None = None,
 ) -> PhaseNoise:
     """Estimate the phase noise of every fringe set from repeated captures of one plane.
 
@@ -220,51 +232,92 @@ def noise_of_captures(
     min_modulation : float
         Least modulation, DN, of the pixels that count, in the mean of all captures; saturated
         pixels never count.
+    names : sequence of str, optional
+        Of the captures, for messages.
 
     Returns
     -------
     PhaseNoise
-        At one height, called 0.
+        At one height, called 0.  Infinite for sets that are washed out: that have the least
+        modulation on less than half of the pixels that have it in the coarsest set.  All others
+        are estimated on the same pixels, those that have it in every one of them.
 
     Raises
     ------
     InputError
-        For captures that differ, have no fringes along the axis, sets of different numbers of
-        shifts, or no pixels that can be measured.
+        For captures that differ or are copies, have no fringes along the axis, sets of different
+        numbers of shifts, or no pixels that can be measured.
     """
     if len(captures) < 2:
         raise InputError("captures", "at least 2 repeats", len(captures))
-    first = captures[0]
-    for k, other in enumerate(captures[1:], start=1):
-        if other.sequence != first.sequence or other.frames.shape != first.frames.shape:
-            raise InputError(f"captures[{k}]", "patterns and size of the first", "others")
-    frames = first.sequence.frames()
-    parts = [
-        (index, part)
-        for index, part in enumerate(first.sequence.parts)
-        if isinstance(part, Fringes) and part.axis == axis
-    ]
-    if not parts:
-        raise InputError("captures", f"fringes along {axis}", first.sequence.name)
+    known = names or [f"captures[{k}]" for k in range(len(captures))]
+    parts = _fringe_parts(captures[0], axis)
     shifts = {part.shifts for _, part in parts}
     if len(shifts) > 1:
         raise InputError("captures", "one number of shifts for all fringes", sorted(shifts))
-    sigma: dict[int, float] = {}
-    for index, part in parts:
-        chosen = [k for k, frame in enumerate(frames) if frame.part_index == index]
-        phases, modulation = [], np.zeros(first.frames.shape[1:])
-        valid = np.ones(first.frames.shape[1:], bool)
+    _check_repeats(captures, known, sorted(k for chosen, _ in parts for k in chosen))
+    counts = [part.count for _, part in parts]
+    usable = []
+    for chosen, _ in parts:
+        modulation = np.zeros(captures[0].frames.shape[1:])
+        valid = np.ones(modulation.shape, bool)
         for shot in captures:
             top = shot.saturation_dn or 2**shot.bit_depth - 1
             valid &= (shot.frames[chosen] < top).all(axis=0)
-            phase, strength, _ = relative_phase(shot.frames[chosen])
-            modulation += strength / len(captures)
-            phases.append(phase)
-        valid &= modulation >= min_modulation
-        if not valid.any():
-            where = f"captures: {part.count} fringes"
-            raise InputError(where, f"a pixel with modulation >= {min_modulation} DN", "none")
-        sigma[part.count] = estimate_noise([phase[valid] for phase in phases], estimator).sigma_rad
-    counts = np.array(sorted(sigma), np.int64)
-    table = np.array([[sigma[count]] for count in counts.tolist()])
-    return PhaseNoise(counts, table, np.zeros(1), shifts.pop())
+            modulation += relative_phase(shot.frames[chosen])[1] / len(captures)
+        usable.append(valid & (modulation >= min_modulation))
+    if not usable[0].any():
+        where = f"captures: {counts[0]} fringes"
+        raise InputError(where, f"a pixel with modulation >= {min_modulation} DN", "none")
+    enough = 0.5 * usable[0].sum()
+    measured = [(usable[0] & own).sum() >= enough for own in usable]
+    common = np.logical_and.reduce(
+        [own for own, good in zip(usable, measured, strict=True) if good]
+    )
+    if not common.any():
+        raise InputError("captures", "a pixel that all fringe sets are measured on", "none")
+    sigma = np.full((len(parts), 1), np.inf)
+    for row, (chosen, _), good in zip(sigma, parts, measured, strict=True):
+        if good:
+            phases = [relative_phase(shot.frames[chosen])[0][common] for shot in captures]
+            row[0] = estimate_noise(phases, estimator).sigma_rad
+    return PhaseNoise(np.array(counts, np.int64), sigma, np.zeros(1), shifts.pop())
+
+
+def _fringe_parts(shot: Capture, axis: Axis) -> list[tuple[list[int], Fringes]]:
+    """Return frames and part of every fringe set along the axis, ascending by fringes."""
+    frames = shot.sequence.frames()
+    parts = [
+        ([k for k, frame in enumerate(frames) if frame.part_index == index], part)
+        for index, part in enumerate(shot.sequence.parts)
+        if isinstance(part, Fringes) and part.axis == axis
+    ]
+    if not parts:
+        raise InputError("captures", f"fringes along {axis}", shot.sequence.name)
+    return sorted(parts, key=lambda entry: entry[1].count)
+
+
+def _check_repeats(
+    captures: Sequence[Capture], names: Sequence[str], frames: Sequence[int]
+) -> None:
+    """Refuse captures of other patterns, and copies: noise never repeats a whole frame."""
+    first = captures[0]
+    seen: dict[bytes, str] = {}
+    for name, shot in zip(names, captures, strict=True):
+        if shot.sequence != first.sequence:
+            raise InputError(
+                name, f"the patterns of the first, {first.sequence.name}", shot.sequence.name
+            )
+        if shot.frames.shape != first.frames.shape:
+            raise InputError(
+                name, f"the size of the first, {first.frames.shape}", shot.frames.shape
+            )
+        for k in frames:
+            digest = blake2b(
+                np.ascontiguousarray(shot.frames[k]).data, salt=str(k).encode()
+            ).digest()
+            if digest in seen:
+                raise InputError(
+                    f"{name}: frame {k}", "noise of its own", f"that of {seen[digest]}"
+                )
+            seen[digest] = name

@@ -3,33 +3,49 @@
 :func:`noise_of_scene` does what thesis 4.2.2 and 5.3 do in the laboratory: a plane is captured
 many times, at several heights, with every fringe set.  :func:`scan_repeatedly` measures the
 scene itself again and again with any sequence and compares the spread and the fringe-order
-errors with what was predicted.  Light is traced once for all repeats and patterns.
+errors with what was predicted.
+
+*Which pixels?*  A design knows the noise of a plate.  Surfaces that are lit less have more: the
+vertical walls of a step block, which the projector meets at a grazing angle, a fifth of the
+modulation and five times the noise.  The pixels of a scene are therefore counted in two groups,
+the same for all sequences: ``plate_like``, whose noise in the one-fringe set is at most
+``SAFETY`` times the plate's, the factor that both criteria design for, and all ``other``.
+
+*What is expected.*  Beside the design's prediction, which is for the plate, there is one for the
+pixels that were counted: the frames' mean over all scans says how bright and how strongly modulated
+each fringe set is at each pixel, the detector's noise model what phase noise follows (the formula
+of :mod:`slbench.patterns.phase`), and the chain of unwrapping steps what becomes of it.  Neither
+the plate's measurement nor the decoder's deviations enter.  The model knows temporal noise of
+the detector alone, no vibration.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench import objects
-from slbench.capture import capture, exposure, radiance_batches
-from slbench.design.fringes import SequenceDesign, any_error, unwrapping_chain
+from slbench.capture import Capture, capture
+from slbench.design.chain import any_error, unwrapping_chain
+from slbench.design.fringes import SequenceDesign
 from slbench.design.noise import PhaseNoise, estimate_noise
-from slbench.detector import expose
+from slbench.design.repeats import plate_scene, repeated_phases, tagged_seed, traced
 from slbench.errors import InputError
-from slbench.patterns import Fringes, PatternSequence, relative_phase
-from slbench.rig import Pose
-from slbench.scene import Scene, SceneObject
+from slbench.focusstack import WeightSource
+from slbench.patterns import Fringes, NoiseModel, relative_phase
+from slbench.scan import capture_stack
+from slbench.scene import Scene
 from slbench.transport import LightTransport
 from slbench.truth import GroundTruth
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
+#: Pixels with at most this many times the plate's noise count as lit like it.
+SAFETY = 2.0
 #: Heights of the plate as shares of the volume's half depth.
 HEIGHTS = (-0.8, 0.0, 0.8)
 #: Fringes weaker than this are not seen, as in :func:`slbench.patterns.decode`, DN.
@@ -38,118 +54,55 @@ _MIN_MODULATION = 3.0
 _PIXELS = 50_000
 
 
+#: Deviation of a phase that is anywhere on the circle, rad.
+_NO_PHASE = np.pi / np.sqrt(3.0)
+#: Tags of the random streams.
+_LIGHT, _NOISE, _SCANS = range(3)
+
+
 @dataclass(frozen=True)
-class Trial:
-    """Repeated scans with one sequence beside its prediction.
+class Spread:
+    """What repeated scans say of a group of pixels.
 
     ``std_px`` is the standard deviation of the panel coordinate over the repeats, root mean
     square over the pixels (fringe-order errors included), ``std_median_px`` its median;
     ``rms_px`` the deviation from truth.  ``order_error_rate`` counts deviations of more than
-    half a finest fringe, a pixel and scan.
+    half a finest fringe, a pixel and scan.  ``expected_...`` is what the modulation of each pixel
+    leads to (see the module).  ``pixels`` are those of the group, ``measured`` the share of their
+    scans that the decoder gave a coordinate, which all else is for: it masks what is too weak.
+    Deviations are NaN where no pixel was measured twice.
+    """
 
-    ``predicted_...`` is what the design says, for the surface its noise was measured on.
-    ``expected_...`` is the same for the surfaces of the scene, which are lit less or more:
-    the noise of every pixel is scaled to the one that its modulation leads to.
+    pixels: int
+    measured: float
+    std_px: float
+    std_median_px: float
+    rms_px: float
+    order_error_rate: float
+    expected_px: float
+    expected_order_error_rate: float
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Repeated scans with one sequence beside its prediction.
+
+    ``predicted_...`` is what the design says, for the plate that its noise was measured on.
+    ``plate_like`` holds for pixels that are lit like it, ``other`` for the rest, if there are any.
     """
 
     fringes: tuple[int, ...]
     shifts: tuple[int, ...]
     frames: int
-    std_px: float
-    std_median_px: float
-    rms_px: float
-    order_error_rate: float
+    repeats: int
     predicted_px: float
     predicted_order_error_probability: float
-    expected_px: float
-    expected_order_error_rate: float
-    pixels: int
-    repeats: int
+    plate_like: Spread
+    other: Spread | None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
-
-
-def plate_scene(scene: Scene, height_mm: float) -> Scene:
-    """Return the scene with a level plate of the volume's size instead of its objects.
-
-    The plate has the material of the scene's first object.
-    """
-    size = scene.rig.volume_mm
-    plate = objects.build(
-        "plane", {"size_mm": [size[0], size[1]], "thickness_mm": 0.1 * min(size[:2])}
-    )
-    pose = Pose(np.eye(3), np.array([0.0, 0.0, height_mm]))
-    return replace(scene, objects=(SceneObject(plate, pose, scene.objects[0].material),))
-
-
-def repeated_phases(
-    scene: Scene,
-    transport: LightTransport,
-    fringes: Sequence[int],
-    pixels: NDArray[np.intp],
-    *,
-    repeats: int = 20,
-    shifts: int = 3,
-    seed: int = 0,
-    on_progress: Callable[[float], None] | None = None,
-) -> tuple[Array, Array]:
-    """Capture fringe sets repeatedly and return their relative phases at some pixels.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its detector and exposure; the patterns are those given here.
-    transport : LightTransport
-        With the marginal "u".
-    fringes : sequence of int
-        Counts of the k sets, along u.
-    pixels : (P,) int
-        Flat indices into the image.
-    repeats, shifts, seed : int
-
-    Returns
-    -------
-    phases : (repeats, k, P) float
-        Relative phase, rad; NaN where a frame is saturated.
-    modulation : (k, P) float
-        Mean modulation, DN.
-    """
-    parts = tuple(Fringes(n, shifts) for n in fringes)
-    patterned = replace(scene, sequence=PatternSequence(transport.panel, parts))
-    phases = np.empty((repeats, len(parts), len(pixels)))
-    modulation = np.zeros(phases.shape[1:])
-    for r, values in enumerate(_frames(patterned, transport, pixels, repeats, seed)):
-        saturated = values >= scene.detector.saturation_dn
-        for k in range(len(parts)):
-            own = slice(k * shifts, (k + 1) * shifts)
-            phase, strength, _ = relative_phase(values[own, np.newaxis])
-            phases[r, k] = np.where(saturated[own].any(axis=0), np.nan, phase[0])
-            modulation[k] += strength[0] / repeats
-        if on_progress:
-            on_progress((r + 1) / repeats)
-    return phases, modulation
-
-
-def _frames(
-    scene: Scene, transport: LightTransport, pixels: NDArray[np.intp], repeats: int, seed: int
-) -> Iterator[NDArray[Any]]:
-    """Yield the frames of each repeat at the pixels, (N, P)."""
-    if scene.exposure.vibration_px > 0.0:  # moves whole images
-        for r in range(repeats):
-            yield capture(scene, transport, seed=seed + r).frames.reshape(
-                -1, transport.ambient.size
-            )[:, pixels]
-        return
-    factor, exposure_s = exposure(scene, transport)
-    few = np.empty((scene.sequence.n_frames, 1, len(pixels)), np.float32)
-    for indices, radiance in radiance_batches(scene, transport):
-        few[indices, 0] = radiance.reshape(len(radiance), -1)[:, pixels]
-    few *= np.float32(factor)
-    for r in range(repeats):
-        rng = np.random.default_rng([seed + r, 1])
-        yield expose(scene.detector, few, exposure_s, rng)[:, 0]
+        return asdict(self)
 
 
 def noise_of_scene(
@@ -160,6 +113,7 @@ def noise_of_scene(
     repeats: int = 20,
     shifts: int = 3,
     seed: int = 0,
+    weights: WeightSource = "lit",
     on_progress: Progress | None = None,
 ) -> PhaseNoise:
     """Estimate sigma_phi(n, z) of a scene's rig from simulated captures of a plate.
@@ -173,6 +127,8 @@ def noise_of_scene(
     z_mm : sequence of float, optional
         Heights of the plate; three through the volume by default.
     repeats, shifts, seed : int
+    weights : {"lit", "modulation"}
+        Of the fusion, where the scene has focus settings.
     on_progress : callable, optional
 
     Returns
@@ -187,7 +143,6 @@ def noise_of_scene(
         If the plate is not seen and lit at a height, or saturates.
     """
     from slbench.render.groundtruth import ground_truth
-    from slbench.render.trace import trace
 
     if repeats < 2:
         raise InputError("repeats", "at least 2, to see noise", repeats)
@@ -197,10 +152,10 @@ def noise_of_scene(
     sigma = np.full((len(fringes), len(heights)), np.inf)
     for j, height in enumerate(heights):
         plate = plate_scene(scene, height)
-        transport = trace(plate, ("u",), seed=seed + j)
+        transports = traced(plate, tagged_seed(seed, _LIGHT, j + 1))
         truth = ground_truth(plate)
         pixels = _chosen(truth, seed)
-        turns = (truth.panel[..., 0].ravel()[pixels] + 0.5) / transport.panel[0]
+        turns = (truth.panel[..., 0].ravel()[pixels] + 0.5) / scene.rig.projector.width
         if len(pixels) == 0:
             raise InputError("plate", f"lit and in view at z = {height:g} mm", "nothing")
 
@@ -210,12 +165,13 @@ def noise_of_scene(
 
         phases, modulation = repeated_phases(
             plate,
-            transport,
+            transports,
             fringes,
             pixels,
             repeats=repeats,
             shifts=shifts,
-            seed=seed + 1000 * (j + 1),
+            seed=tagged_seed(seed, _NOISE, j),
+            weights=weights,
             on_progress=progress,
         )
         if np.isnan(phases).any(axis=(0, 1)).all():
@@ -235,6 +191,7 @@ def scan_repeatedly(
     *,
     repeats: int = 15,
     seed: int = 0,
+    weights: WeightSource = "lit",
     on_progress: Progress | None = None,
 ) -> list[Trial]:
     """Measure a scene repeatedly with each sequence: spread and order errors beside predictions.
@@ -247,70 +204,133 @@ def scan_repeatedly(
     repeats : int
         Scans a sequence (15 in thesis 7.2).
     seed : int
+    weights : {"lit", "modulation"}
+        Of the fusion, where the scene has focus settings.
     on_progress : callable, optional
 
     Returns
     -------
     list of Trial
         In the order of the designs.  The pixels that count lie on smooth lit surface, of the
-        first object or one of the same material, and were measured in every scan.
+        first object or one of the same material.
 
     Raises
     ------
     InputError
-        If no pixel was measured in every scan.
+        If no pixel is lit like the plate, or all of them saturate.
     """
     from slbench.render.groundtruth import ground_truth
-    from slbench.render.trace import trace
 
     if repeats < 2:
         raise InputError("repeats", "at least 2, to see noise", repeats)
-    transport = trace(scene, ("u",), seed=seed)
+    transports = traced(scene, tagged_seed(seed, _LIGHT, 0))
     truth = ground_truth(scene)
     alike = [i for i, o in enumerate(scene.objects) if o.material == scene.objects[0].material]
     pixels = np.flatnonzero(truth.smooth() & np.isin(truth.object_id, alike))
     true = truth.panel[..., 0].ravel()[pixels]
-    trials = []
+    panel = (scene.rig.projector.width, scene.rig.projector.height)
+    trials: list[Trial] = []
+    like_plate = np.ones(len(pixels), bool)
     for k, design in enumerate(designs):
-        patterned = replace(scene, sequence=design.sequence(transport.panel))
+        patterned = replace(scene, sequence=design.sequence(panel))
         error = np.empty((repeats, len(pixels)))
-        sigma = np.zeros(len(pixels))
+        model = _ModelNoise(pixels)
         for r in range(repeats):
-            phase = capture(patterned, transport, seed=seed + 1000 * (k + 1) + r).decode()
+            own = tagged_seed(seed, _SCANS, k, r)
+            if isinstance(transports, LightTransport):
+                shots = capture(patterned, transports, seed=own)
+                phase = shots.decode()
+                model.add(shots, 1.0)
+            else:
+                fused = capture_stack(patterned, transports=transports, seed=own).fuse(weights)
+                shots, phase = fused.capture, fused.decode()
+                model.add(shots, fused.weights.noise_gain.ravel()[pixels])
             error[r] = phase.coordinate["u"].ravel()[pixels] - true
-            sigma += phase.sigma["u"].ravel()[pixels] / repeats
             if on_progress:
                 on_progress("scans", (k + (r + 1) / repeats) / len(designs))
-        measured = np.isfinite(error).all(axis=0)
-        if not measured.any():
+        sigma = model.sigma()
+        if k == 0:
+            like_plate = sigma[0] <= SAFETY * design.reference.noise_rad
+            if not like_plate.any():
+                expected = f"a pixel with at most {SAFETY:g} times the noise of the design"
+                raise InputError("scans", expected, "none")
+        groups = [
+            _spread(design, error[:, group], sigma[:, group]) if group.any() else None
+            for group in (like_plate, ~like_plate)
+        ]
+        if groups[0] is None or not groups[0].measured > 0.0:
             where = f"scans with {', '.join(map(str, design.fringes))} fringes"
-            raise InputError(where, "a pixel that all scans measure", "none")
-        trials.append(_trial(design, error[:, measured], sigma[measured]))
+            raise InputError(where, "a pixel that is measured", "none")
+        trials.append(
+            Trial(
+                design.fringes,
+                design.shifts,
+                design.frames,
+                repeats,
+                design.sigma_px,
+                design.order_error_probability,
+                groups[0],
+                groups[1],
+            )
+        )
     return trials
 
 
-def _trial(design: SequenceDesign, error: Array, sigma: Array) -> Trial:
-    """Sum up errors (repeats, P) and the decoder's deviations (P,) of the last set, px."""
-    deviation = np.std(error, axis=0, ddof=1)
-    fringe_px = design.width_px / design.fringes[-1]
-    noise = np.array([step.noise_rad for step in (design.reference, *design.steps)])
-    brightness = sigma * (2.0 * np.pi / fringe_px) / noise[-1]
-    variance, wrong = unwrapping_chain(design.fringes, np.multiply.outer(noise, brightness))
-    return Trial(
-        design.fringes,
-        design.shifts,
-        design.frames,
-        float(np.sqrt(np.mean(deviation**2))),
-        float(np.median(deviation)),
-        float(np.sqrt(np.mean(error**2))),
-        float(np.mean(np.abs(error) > 0.5 * fringe_px)),
-        design.sigma_px,
-        design.order_error_probability,
-        float(np.sqrt(np.mean(variance[-1]))) * design.width_px / (2.0 * np.pi),
-        float(np.mean(any_error(wrong))),
-        error.shape[1],
-        len(error),
-    )
+class _ModelNoise:
+    """Phase noise of every fringe set by the noise model, from the mean of all captures."""
+
+    def __init__(self, pixels: NDArray[np.intp]) -> None:
+        self._pixels = pixels
+        self._sum: Array = np.zeros((0, len(pixels)))
+        self._gain: Any = 0.0
+        self._captures = 0
+
+    def add(self, shots: Capture, gain: Any) -> None:
+        """Take a capture whose noise is `gain` times that of single frames."""
+        if not self._captures:
+            self._sum = np.zeros((len(shots.frames), len(self._pixels)))
+            self._noise, self._frames = shots.noise or NoiseModel(), shots.sequence.frames()
+        self._sum += shots.frames.reshape(len(shots.frames), -1)[:, self._pixels]
+        self._gain = self._gain + gain
+        self._captures += 1
+
+    def sigma(self) -> Array:
+        """Return the phase noise of the K sets, (K, P), rad (:mod:`slbench.patterns.phase`)."""
+        rows = []
+        for index in sorted({f.part_index for f in self._frames if isinstance(f.part, Fringes)}):
+            own = [k for k, frame in enumerate(self._frames) if frame.part_index == index]
+            mean_frames = self._sum[own, np.newaxis] / self._captures
+            phase, modulation, mean = (part[0] for part in relative_phase(mean_frames))
+            variance = self._noise.variance(mean)
+            if len(own) == 3:  # the third harmonic of shot noise
+                third = self._noise.gain_dn_per_e * modulation * np.cos(3.0 * phase)
+                variance = variance - 0.5 * third
+            rows.append(np.sqrt(2.0 / len(own) * variance) / np.maximum(modulation, 1e-9))
+        return np.minimum(np.array(rows) * self._gain / self._captures, _NO_PHASE)
+
+
+def _spread(design: SequenceDesign, error: Array, sigma: Array) -> Spread:
+    """Sum up the errors (repeats, P), px, of pixels with the noise (K, P), rad."""
+    seen = np.isfinite(error)
+    scans = seen.sum(axis=0)
+    some, many = scans >= 1, scans >= 2
+    turn_px = design.width_px / (2.0 * np.pi)
+    std = median = rms = rate = expected = expected_rate = float("nan")
+    if some.any():
+        variance, wrong = unwrapping_chain(design.fringes, sigma[:, some])
+        rms = float(np.sqrt(np.mean(error[seen] ** 2)))
+        rate = float(np.mean(np.abs(error[seen]) > 0.5 * design.width_px / design.fringes[-1]))
+        expected_rate = float(np.average(any_error(wrong), weights=scans[some]))
+    if many.any():
+        # A pixel that is rarely measured counts as little in the expectation as in the measurement.
+        freedom = scans[many] - 1.0
+        deviation = np.nanstd(error[:, many], axis=0, ddof=1)
+        std = float(np.sqrt(np.average(deviation**2, weights=freedom)))
+        median = float(np.median(deviation))
+        own = variance[-1][many[some]]
+        expected = float(np.sqrt(np.average(own, weights=freedom))) * turn_px
+    share = float(seen.mean())
+    return Spread(len(scans), share, std, median, rms, rate, expected, expected_rate)
 
 
 def _chosen(truth: GroundTruth, seed: int) -> NDArray[np.intp]:

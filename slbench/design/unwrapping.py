@@ -212,8 +212,9 @@ def _checked(sigma_reference: ArrayLike, sigma_phase: ArrayLike) -> tuple[Array,
     values = []
     for name, given in (("sigma_reference", sigma_reference), ("sigma_phase", sigma_phase)):
         value = np.asarray(given, dtype=np.float64)
-        if not np.all(np.isfinite(value) & (value >= 0.0)):
-            raise InputError(name, "finite numbers >= 0 rad", "others")
+        good = np.isfinite(value) & (value >= 0.0)
+        if not np.all(good):
+            raise InputError(name, "finite numbers >= 0 rad", value[~good].flat[0])
         values.append(value)
     first, second = np.broadcast_arrays(*values)
     return first, second

@@ -49,5 +49,6 @@ def test_simulation_takes_several_times_as_long(benchmark):
         f"\nclosed form {1e3 * min(exact_s):.0f} ms, "
         f"simulation {1e3 * min(sampled_s):.0f} ms, ratio {ratio:.0f}"
     )
-    # About 17 on two cores; 5 is left when one of them is busy with other work.
-    assert ratio > 5.0
+    # The limits of 0.2 s and 10 s are a ratio of 50; about 100 on two cores, and 20 is left when
+    # one of them is busy with other work.
+    assert ratio > 20.0

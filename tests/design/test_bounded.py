@@ -19,22 +19,24 @@ from slbench.errors import InputError
 
 
 def danger_of(noise, fringes, shifts):
-    """-log of the probability that every step is safe, each at its worst height."""
+    """-log of the probability that every step is safe, at the worst of the heights."""
     sigma = dict(zip(noise.fringes.tolist(), noise.sigma_rad, strict=True))
     sets = list(zip(fringes, shifts, strict=True))
-    return sum(
+    steps = [
         step_danger(n / before, tuple(sigma[before]), few, tuple(sigma[n]), many, noise.shifts)
         for (before, few), (n, many) in pairwise(sets)
-    )
+    ]
+    return max((sum(heights) for heights in zip(*steps, strict=True)), default=0.0)
 
 
 @cache
 def step_danger(ratio, reference, few, own, many, shifts):
+    """At each height."""
     s = [
         sqrt(shifts * ((ratio * a) ** 2 / few + b**2 / many))
         for a, b in zip(reference, own, strict=True)
     ]
-    return -log1p(-erfc(pi / (sqrt(2.0) * max(s))))
+    return [-log1p(-erfc(pi / (sqrt(2.0) * one))) for one in s]
 
 
 def final_noise(noise, n, shifts):
@@ -124,6 +126,32 @@ def test_noise_by_fringes_and_height(seed):
     assert set(design.shifts) == {4}
 
 
+def test_steps_at_risk_at_different_heights():
+    """Each at its worst height they would make 4.1e-8, which no height has."""
+    sigma = np.array([[0.14, 0.02], [0.02, 0.14], [0.02, 0.02]])
+    noise = PhaseNoise(np.array([1, 4, 16]), sigma, np.array([0.0, 1.0]))
+    design = bounded_sequence(80, noise, [1, 4, 16], max_probability=2.48e-8)
+    assert design.fringes == (1, 4, 16)
+    assert design.order_error_probability == pytest.approx(2.066e-8, rel=1e-3)
+    assert sum(step.order_error_probability for step in design.steps) > 4.1e-8
+    # Below what either height has, not.
+    assert bounded_sequence(80, noise, [1, 4, 16], max_probability=2.06e-8).fringes != (1, 4, 16)
+
+
+def test_a_worse_way_at_one_height_may_be_the_better_one():
+    """The way that is the safest so far is not always the one to go on from."""
+    kept = 0
+    for seed in range(8):
+        rng = np.random.default_rng(100 + seed)
+        sigma = rng.uniform(0.05, 0.45, (len(COUNTS), 2))
+        noise = PhaseNoise(np.array(COUNTS), sigma, np.array([0.0, 1.0]))
+        design = bounded_sequence(100, noise, COUNTS, max_probability=1e-4, frames=12)
+        best = by_brute_force(noise, COUNTS, 1e-4, range(3, 13), 12)
+        check_best(design, best, noise, 1e-4)
+        kept += len(design.fringes) > 2
+    assert kept > 2
+
+
 def test_the_brute_force_has_something_to_choose_from():
     # One set: 11 numbers of shifts.  Two: 5 choices, C(9, 2) ways to share 13 frames or fewer
     # beyond three each.  Three and four likewise: 10 C(7, 3) and 10 C(5, 4).
@@ -186,6 +214,65 @@ def test_the_bound_holds_and_is_used():
     assert (design.fringes, design.shifts) == ((1,), (7,))
 
 
+def share_of_wrong(design, sigma, pixels=400_000, seed=4):
+    """Simulated share of pixels with a wrong order in any step."""
+    rng = np.random.default_rng(seed)
+    error = [sigma * sqrt(3 / many) * rng.standard_normal(pixels) for many in design.shifts]
+    sets = zip(design.fringes, error, strict=True)
+    wrong = [
+        np.abs(n / before * reference - own) > pi
+        for (before, reference), (n, own) in pairwise(sets)
+    ]
+    return float(np.mean(np.any(wrong, axis=0)))
+
+
+@pytest.mark.parametrize("frames", [9, 12, 15])
+@pytest.mark.parametrize("safety", [1.0, 1.5, 2.0])
+def test_the_bound_holds_with_as_much_noise_as_it_was_made_for(safety, frames):
+    """Where it binds; 4.5 standard errors, which chance exceeds in 3 of a million cases."""
+    noise = PhaseNoise.constant(0.4 / safety, candidates(1024))
+    told = PhaseNoise.constant(0.4, candidates(1024))
+
+    def designed(table, bound, factor):
+        return bounded_sequence(1024, table, frames=frames, max_probability=bound, safety=factor)
+
+    # The probability that the best sequence below a bound of 1e-2 has; that is then the bound.
+    bound = designed(told, 1e-2, 1.0).order_error_probability * (1.0 + 1e-9)
+    assert bound > 5e-4
+    design = designed(noise, bound, safety)
+    assert len(design.fringes) >= 2
+    assert design.fringes[-1] >= designed(noise, bound * (1.0 - 1e-6), safety).fringes[-1]
+    slack = 4.5 * sqrt(bound / 400_000)
+    found = share_of_wrong(design, 0.4)
+    # Sidak's inequality costs a few per cent.
+    assert 0.9 * bound - slack < found < bound + slack
+    # What is predicted is for the noise as given.
+    assert share_of_wrong(design, 0.4 / safety) <= design.order_error_probability + slack
+    if safety > 1.0:
+        assert design.order_error_probability < 0.05 * bound
+    else:
+        assert design.order_error_probability == pytest.approx(bound)
+
+
+def test_safety_is_more_noise_for_the_bound_alone():
+    noise = PhaseNoise.constant(0.036, candidates(400))
+    twice = PhaseNoise.constant(0.072, candidates(400))
+    design = bounded_sequence(400, noise, safety=2.0)
+    assert design.fringes == bounded_sequence(400, twice).fringes == (1, 4, 16, 80)
+    assert design.sigma_rad == pytest.approx(0.036 / 80)
+    assert bounded_sequence(400, noise).fringes == (1, 8, 80)
+
+
+def test_progress_goes_up():
+    told = []
+    noise = PhaseNoise.constant(0.2, candidates(400))
+    bounded_sequence(400, noise, frames=20, on_progress=lambda *stage: told.append(stage))
+    shares = [share for _, share in told]
+    assert {stage for stage, _ in told} == {"bounded"}
+    assert shares == sorted(shares)
+    assert 0.0 < shares[0] <= shares[-1] <= 1.0
+
+
 def test_the_order_of_the_candidates_does_not_matter():
     noise = PhaseNoise.constant(0.036, candidates(400))
     expected = bounded_sequence(400, noise, [1, 10, 50])
@@ -199,6 +286,9 @@ def test_the_order_of_the_candidates_does_not_matter():
         ({"max_probability": 0.0}, "^order error probability: expected between 0 and 1, got 0.0$"),
         ({"max_probability": 1.0}, "^order error probability: expected between 0 and 1, got 1.0$"),
         ({"max_probability": np.nan}, "^order error probability: expected between 0 and 1"),
+        ({"safety": 0.9}, "^safety: expected a factor of at least 1, got 0.9$"),
+        ({"safety": np.nan}, "^safety: expected a factor of at least 1, got nan$"),
+        ({"safety": np.inf}, "^safety: expected a factor of at least 1, got inf$"),
         ({"frames": 2}, "^frames: expected a whole number, 3 to 100, got 2$"),
         ({"frames": 101}, "^frames: expected a whole number, 3 to 100, got 101$"),
         ({"frames": -9}, "^frames: expected a whole number, 3 to 100, got -9$"),

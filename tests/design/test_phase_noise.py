@@ -189,17 +189,58 @@ def test_captures_are_refused_in_one_line():
     refused(captures[:1], "^captures: expected at least 2 repeats, got 1$")
     refused([], "^captures: expected at least 2 repeats, got 0$")
     others = shots("1,5", 40.0, repeats=1)
-    refused([captures[0], *others], r"^captures\[1\]: expected patterns and size of the first")
+    message = r"^captures\[1\]: expected the patterns of the first, 1,4, got 1,5$"
+    refused([captures[0], *others], message)
     smaller = Capture(frames[:, :-1].copy(), sequence, bit_depth=12)
-    refused([*captures, smaller], r"^captures\[2\]: expected patterns and size of the first")
+    message = r"^captures\[2\]: expected the size of the first, \(6, 80, 120\), got \(6, 79, 120\)$"
+    refused([*captures, smaller], message)
     refused(captures, "^captures: expected fringes along v, got 1,4$", "v")
     mixed = shots("1@3,4@4", 40.0, repeats=2)
     refused(mixed, r"^captures: expected one number of shifts for all fringes, got \[3, 4\]$")
-    full = [Capture(np.full_like(frames, 4095), sequence, bit_depth=12)] * 2
+    full = [Capture(np.full_like(frames, 4095), sequence, bit_depth=12) for _ in range(2)]
+    full[1].frames[:, 0, 0] = 1000  # no copy of the other
     refused(full, "^captures: 1 fringes: expected a pixel with modulation >= 3.0 DN, got none$")
     dark = shots("1,4", 0.3, repeats=2, contrast=2.0)
     refused(dark, "^captures: 1 fringes: expected a pixel with modulation")
-    refused([captures[0]] * 2, "^phase noise: sigma_rad: expected positive")  # no repeats at all
+    # No repeats at all, or one frame that was copied.
+    message = r"^captures\[1\]: frame 0: expected noise of its own, got that of captures\[0\]$"
+    refused([captures[0]] * 2, message)
+    copied = Capture(captures[1].frames.copy(), sequence, bit_depth=12)
+    copied.frames[4] = frames[4]
+    message = "^run b: frame 4: expected noise of its own, got that of run a$"
+    with pytest.raises(InputError, match=message):
+        noise_of_captures([captures[0], copied], names=["run a", "run b"])
+
+
+def test_a_set_that_is_washed_out_is_infinite_and_the_rest_goes_on():
+    captures = shots("1,4,12", 40.0)
+    whole = noise_of_captures(captures).sigma_rad
+    for shot in captures:
+        shot.frames[6:] = 500 + shot.frames[6:] % 3  # no fringes of the finest set
+    found = noise_of_captures(captures)
+    np.testing.assert_array_equal(found.sigma_rad[:2], whole[:2])
+    assert found.sigma_rad[2, 0] == np.inf
+    assert found.measurable() == [1, 4]
+
+
+@pytest.mark.parametrize(("rows", "lost"), [(30, False), (50, True)])
+def test_all_sets_are_estimated_on_the_pixels_that_all_measured_sets_have(rows, lost):
+    """Of 80 rows, the first have no fine fringes, and twice the noise in all sets."""
+    captures = shots("1,12", 40.0)
+    part = noise_of_captures(
+        [Capture(s.frames[:, rows:].copy(), s.sequence, bit_depth=12) for s in captures]
+    )
+    rng = np.random.default_rng(1)
+    for shot in captures:
+        extra = rng.normal(0.0, 70.0, (3, rows, 120))
+        shot.frames[:3, :rows] = np.rint(shot.frames[:3, :rows] + extra).clip(0, 4000)
+        shot.frames[3:, :rows] = 500
+    found = noise_of_captures(captures)
+    if lost:  # on most of them: then the coarse set is measured on all
+        assert found.sigma_rad[1, 0] == np.inf
+        assert found.sigma_rad[0, 0] > 1.3 * part.sigma_rad[0, 0]
+    else:
+        np.testing.assert_array_equal(found.sigma_rad, part.sigma_rad)
 
 
 # -- the table ------------------------------------------------------------------------------------

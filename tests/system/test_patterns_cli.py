@@ -11,7 +11,9 @@ from slbench.capture import Capture
 from slbench.design.noise import PhaseNoise
 from slbench.patterns import PatternSequence
 
-MACRO = ("--width-px", 400, "--noise-rad", 0.036, "--safety", 2, "--noise-step", 0.001)
+PLAIN = ("--width-px", 400, "--noise-rad", 0.036)
+MACRO = (*PLAIN, "--safety", 2, "--noise-step", 0.001)
+BOUNDED = (*PLAIN, "--criterion", "bounded")
 SEQUENCE = PatternSequence.parse("1,4,16", (320, 200))
 
 
@@ -47,24 +49,66 @@ def test_both_methods_and_candidates():
 
 
 def test_bounded_with_frames():
-    found = designed(*MACRO, "--criterion", "bounded", "--frames", 18, "--max-order-error", 1e-9)
+    options = ("--frames", 18, "--max-order-error", 1e-9, "--safety", 1)
+    found = designed(*BOUNDED, *options)
     assert found["frames"] == 18
     assert [step["shifts"] for step in found["steps"]] == [3, 12]
     assert found["order_error_probability"] <= 1e-9
+    assert found["patterns"] == "1,8@3,80@12"
+    # With the default, twice the noise keeps the bound.
+    assert designed(*BOUNDED)["fringes"] == [1, 4, 16, 80]
+
+
+def test_sequences_to_compare():
+    found = designed(*MACRO, "--compare", "1,2,4", "--compare", "1,2@6,4@5")
+    assert list(found["baselines"]) == ["doubling", "single step", "1,2,4", "1,2@6,4@5"]
+    assert found["baselines"]["1,2,4"]["fringes"] == [1, 2, 4]
+    other = found["baselines"]["1,2@6,4@5"]
+    assert other["frames"] == 6 + 6 + 5  # shifts hold for the counts before them
+    for text, words in (
+        ("gray", ("--compare", "fringe sets alone")),
+        ("2,4", ("fringes", "ascending whole numbers from 1")),
+        ("1,3", ("phase noise", "3")),
+        ("1,x", ("x",)),
+    ):
+        check_refused(run_cli("design", "patterns", *MACRO, "--compare", text), *words)
+
+
+def test_the_line_to_scan_with_and_what_is_no_candidate(tmp_path):
+    path, again = tmp_path / "noise.csv", tmp_path / "again.csv"
+    sigma = np.array([[0.1, 0.1], [0.1, 0.1], [0.1, np.inf], [0.1, 0.1], [0.1, 0.1]])
+    PhaseNoise(np.array([1, 2, 4, 7, 80]), sigma, np.array([-1.0, 1.0])).write(path)
+    options = ("--width-px", 160, "--noise-table", path, "--write-noise", again)
+    found = designed(*options)
+    assert found["candidates"] == [1, 2]
+    assert list(found["left_out"]) == ["4", "7", "80"]
+    assert again.read_text() == path.read_text()
+    text = run_cli("design", "patterns", *options).out.replace("\n", " ")
+    assert 'slbench scan SCENE --patterns "1,2"' in text
+    for words in ("4 fringes, not measurable at z = 1 mm", "7 fringes, no divisor of 160 px"):
+        assert words in text
+    assert "80 fringes, finer than --min-px-per-fringe or --max-fringes allow" in text
+    assert found["noise"][2]["sigma_rad"] == [0.1, None]
 
 
 def test_table_for_people_and_a_figure(tmp_path):
     figure = tmp_path / "design.png"
     status, out, err = run_cli("design", "patterns", *MACRO, "--plot", figure)
     assert status == 0, err
-    for word in ("designed", "1, 10, 80", "doubling", "single step", str(figure)):
+    for word in (
+        "scan SCENE --patterns",
+        "designed",
+        "1, 10, 80",
+        "doubling",
+        "single step",
+        str(figure),
+    ):
         assert word in out.replace("\n", "")
     picture = cv2.imread(str(figure))
     assert picture.shape == (1000, 1200, 3)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 500
     vector = tmp_path / "design.svg"
-    bounded = ("--criterion", "bounded", "--plot", vector)
-    assert run_cli("design", "patterns", *MACRO, *bounded).status == 0
+    assert run_cli("design", "patterns", *BOUNDED, "--plot", vector).status == 0
     assert vector.read_text().startswith("<?xml")
     assert {path.name for path in tmp_path.iterdir()} == {"design.png", "design.svg"}
 
@@ -106,6 +150,16 @@ def test_noise_from_captures(captures):
     sigma = np.sqrt(2 / 3) * np.sqrt(4.0 + 1 / 12) / 80.0
     for row in found["noise"]:
         assert row["sigma_rad"][0] == pytest.approx(sigma, rel=0.01)
+    pooled = designed(*options, "--estimator", "pooled")
+    # The spread of a whole fringe's phases, 2 pi / sqrt(12), up to the end of its circle.
+    assert pooled["noise"][0]["sigma_rad"][0] == pytest.approx(1.81, rel=0.02)
+    for given, words in (
+        (("--axis", "v"), ("fringes along v",)),
+        (("--axis", "w"), ("--axis", "u or v", "w")),
+        (("--estimator", "median"), ("per-pixel or pooled", "median")),
+        (("--capture", captures[0]), (str(captures[0]), "noise of its own")),
+    ):
+        check_refused(run_cli("design", "patterns", *options, *given), *words)
     check_refused(run_cli("design", "patterns", *options[:2]), "at least 2 repeats")
     check_refused(run_cli("design", "patterns", *options, "--width-px", 400), "320 px")
 
@@ -117,12 +171,15 @@ def test_a_scene_is_measured_designed_for_and_scanned(tmp_path):
     assert len(found["noise"][0]["z_mm"]) == 3
     first = found["verification"][0]
     assert first["fringes"] == found["fringes"]
-    assert first["order_error_rate"] == 0.0
+    lit = first["plate_like"]
+    assert lit["order_error_rate"] == 0.0
     # Three scans of some 8000 pixels: 0.8 % of statistics.
-    assert first["std_px"] == pytest.approx(first["expected_px"], rel=0.05)
+    assert lit["std_px"] == pytest.approx(lit["expected_px"], rel=0.05)
     assert len(found["verification"]) == 3
-    text = run_cli("design", "patterns", "--scene", "step-block", "--preview", "--scans", 2).out
-    assert "scanned 2 times" in text
+    short = ("--scans", 2, "--repeats", 2, "--compare", "1,2,4")
+    text = run_cli("design", "patterns", "--scene", "step-block", "--preview", *short).out
+    assert text.count("scanned 2 times") == 4
+    assert "slbench scan step-block --patterns" in text
 
 
 @pytest.mark.parametrize(
@@ -142,10 +199,24 @@ def test_a_scene_is_measured_designed_for_and_scanned(tmp_path):
         ((*MACRO, "--phase-model", "ideal"), ("phase model", "ideal")),
         ((*MACRO, "--method", "guess"), ("method", "guess")),
         ((*MACRO, "--criterion", "best"), ("--criterion", "best")),
-        ((*MACRO, "--frames", 12), ("--frames", "bounded")),
-        ((*MACRO, "--criterion", "bounded", "--frames", 2), ("frames", "3 to 100")),
-        ((*MACRO, "--criterion", "bounded", "--max-order-error", 0), ("probability", "0.0")),
-        ((*MACRO, "--criterion", "bounded", "--max-order-error", "nan"), ("probability", "nan")),
+        ((*BOUNDED, "--safety", 0.5), ("safety", "0.5")),
+        ((*BOUNDED, "--frames", 2), ("frames", "3 to 100")),
+        ((*BOUNDED, "--max-order-error", 0), ("probability", "0.0")),
+        ((*BOUNDED, "--max-order-error", "nan"), ("probability", "nan")),
+        # What would be ignored.
+        ((*MACRO, "--frames", 12), ("--frames", "only with --criterion bounded", "thesis")),
+        ((*MACRO, "--max-order-error", 0.1), ("--max-order-error", "--criterion bounded")),
+        ((*BOUNDED, "--noise-step", 0.001), ("--noise-step", "only with --criterion thesis")),
+        ((*BOUNDED, "--phase-model", "exact"), ("--phase-model", "--criterion thesis")),
+        ((*BOUNDED, "--method", "monte-carlo"), ("--method", "--criterion thesis")),
+        ((*MACRO, "--mc-repeats", 5), ("--mc-repeats", "only with --method monte-carlo")),
+        ((*MACRO, "--seed", 1), ("--seed", "--scene or --method monte-carlo")),
+        ((*MACRO, "--repeats", 5), ("--repeats", "only with --scene", "--noise-rad")),
+        ((*MACRO, "--scans", 5), ("--scans", "only with --scene")),
+        ((*MACRO, "--preview"), ("--preview", "only with --scene")),
+        ((*MACRO, "--axis", "v"), ("--axis", "only with --capture")),
+        ((*MACRO, "--estimator", "pooled"), ("--estimator", "only with --capture")),
+        (("--capture", "a", "--shifts", 4), ("--shifts", "--noise-table", "--capture")),
         ((*MACRO, "--max-fringes", 0), ("max fringes", "0")),
         ((*MACRO, "--min-px-per-fringe", 2), ("pixels per fringe", "2")),
         ((*MACRO, "--min-px-per-fringe", "nan"), ("pixels per fringe", "nan")),

@@ -29,7 +29,7 @@ THESIS = {
 
 
 def test_the_thesis_scenes_are_shipped():
-    assert set(SCENES) >= THESIS | {"step-block", "plane", "sphere"}
+    assert set(SCENES) >= THESIS | {"step-block", "step-block-grainy", "plane", "sphere"}
 
 
 @pytest.mark.parametrize("name", SCENES)
