@@ -43,6 +43,7 @@ from slbench.calibration.robust import (
     checked_response,
     in_terms,
     irls,
+    predictive_scale,
 )
 from slbench.errors import InputError
 
@@ -301,7 +302,7 @@ def _of_joint(joint: JointFit, k: int, basis: Basis) -> CoordinateModel:
         basis.form,
         to_terms @ joint.coefficients[k],
         to_terms @ joint.covariance[k] @ to_terms.T,
-        float(joint.scatter[k, k] ** 0.5),
+        predictive_scale(joint.residuals[:, k], joint.leverage, float(joint.scatter[k, k] ** 0.5)),
     )
 
 
