@@ -128,21 +128,7 @@ def _fuse_stack(
             if align != "none":
                 alignment = fusion.align(lit, motion=align)  # type: ignore[arg-type]
                 lit = alignment.apply(lit)
-            if method == "pyramid":
-                weights = fusion.pyramid_selection(lit)
-            elif method == "maximum":
-                weights = fusion.maximum_weights(
-                    lit,
-                    measure=measure,  # type: ignore[arg-type]
-                    window=window,
-                )
-            else:
-                weights = fusion.selective_weights(
-                    lit,
-                    measure=measure,  # type: ignore[arg-type]
-                    window=window,
-                    variant=variant,  # type: ignore[arg-type]
-                )
+            weights = _weights(lit, method, measure, variant, window, None)
         capture = stack.fuse_with(weights, alignment).capture
         with atomic_folder(out) as temporary:
             capture.save(temporary)
@@ -211,23 +197,10 @@ def _fused(
         grey, stack = alignment.apply(grey), alignment.apply(stack)
         summary["reference"] = alignment.reference
         summary["least_correlation"] = float(alignment.correlation.min())
+    weights = _weights(grey, method, measure, variant, window, report)
     if method == "pyramid":
-        return fusion.pyramid_selection(grey).fuse(stack), {}, summary
-    if method == "maximum":
-        weights = fusion.maximum_weights(
-            grey,
-            measure=measure,  # type: ignore[arg-type]
-            window=window,
-            on_progress=report,
-        )
-    else:
-        weights = fusion.selective_weights(
-            grey,
-            measure=measure,  # type: ignore[arg-type]
-            window=window,
-            variant=variant,  # type: ignore[arg-type]
-            on_progress=report,
-        )
+        return weights.fuse(stack), {}, summary
+    if method == "saf":
         summary["variant"] = variant
     peak = np.isfinite(weights.focus)
     summary |= {
@@ -239,6 +212,18 @@ def _fused(
     }
     maps = {"depth": weights.focus, "selectivity": weights.selectivity_db}
     return weights.fuse(stack), maps, summary
+
+
+def _weights(grey: Any, method: str, measure: str, variant: str, window: int, report: Any) -> Any:
+    """Return what fuses stacks like `grey` by one of the methods."""
+    from slbench import fusion
+
+    if method == "pyramid":
+        return fusion.pyramid_selection(grey)
+    options: dict[str, Any] = {"measure": measure, "window": window, "on_progress": report}
+    if method == "maximum":
+        return fusion.maximum_weights(grey, **options)
+    return fusion.selective_weights(grey, variant=variant, **options)  # type: ignore[arg-type]
 
 
 def _table(result: dict[str, Any]) -> Table:

@@ -8,7 +8,10 @@ import pytest
 from focus_stacks import psnr_db, slanted_plane
 from scenes_small import check_refused, run_cli
 
+from slbench.capture import Capture
+from slbench.focusstack import FocusStack
 from slbench.io import read_colour, read_exr, read_grey, write_png
+from slbench.patterns import Flat, Fringes, PatternSequence
 
 PLANE = slanted_plane(9, (72, 96))
 
@@ -200,3 +203,74 @@ class TestBadInput:
         write_png(folder / "4.png", np.zeros((4, 4), dtype=np.uint8))
         check_refused(run_cli("fuse", folder, "--out", out), "4.png")
         assert {path.name: path.read_bytes() for path in out.parent.iterdir()} == before
+
+
+# -- stacks of captures -------------------------------------------------------------------
+
+SEQUENCE = PatternSequence((64, 48), (Flat(1.0), Fringes(1), Fringes(4)))
+
+
+@pytest.fixture
+def stack(tmp_path):
+    """Five settings of a textured surface; each fifth of the picture is sharp in one of them."""
+    rng = np.random.default_rng(3)
+    texture = cv2.GaussianBlur(rng.uniform(-1.0, 1.0, (60, 100)), (0, 0), 1.5)
+    texture = 0.75 + 0.25 * texture / np.abs(texture).max()
+    u = (np.arange(100) + 0.5) / 100
+    captures = []
+    for setting in range(5):
+        frames = []
+        for frame in SEQUENCE.frames():
+            light = np.ones(100)
+            if not isinstance(frame.part, Flat):
+                angle = 2 * np.pi * (frame.part.count * u - frame.index / 3)
+                light = 0.5 + 0.5 * np.cos(angle)
+            sharp = 200.0 * texture * light
+            blurred = cv2.GaussianBlur(sharp, (0, 0), 3.0)
+            near = np.arange(100) // 20 == setting
+            frames.append(np.where(near, sharp, blurred))
+        captures.append(Capture(np.rint(frames).astype(np.uint8), SEQUENCE))
+    FocusStack(captures).save(tmp_path / "stack")
+    return tmp_path / "stack"
+
+
+@pytest.mark.parametrize("method", ["saf", "maximum", "pyramid", "modulation"])
+def test_a_stack_becomes_one_capture(stack, tmp_path, method):
+    out = tmp_path / "fused"
+    done = run_cli("fuse", stack, "--out", out, "--method", method, "--json")
+    assert done.status == 0, done.err
+    printed = json.loads(done.out)
+    assert (printed["settings"], printed["frames"]) == (5, 7)
+    fused = Capture.load(out)
+    assert fused.sequence == SEQUENCE
+    assert fused.bit_depth == 16
+    assert (out / "fusion.exr").exists() == (method != "pyramid")
+    lit = fused.frames[0] / 256.0
+    settings = [Capture.load(stack / f"focus{k:03d}").frames[0].astype(float) for k in range(5)]
+    sharp = np.concatenate([f[:, 20 * k : 20 * k + 20] for k, f in enumerate(settings)], axis=1)
+    middle = np.sqrt(np.mean((settings[2] - sharp) ** 2))
+    # The texture's fringes differ little in modulation between sharp and blurred pixels.
+    share = {"saf": 0.5, "maximum": 0.5, "pyramid": 0.7, "modulation": 1.0}[method]
+    assert np.sqrt(np.mean((lit - sharp) ** 2)) < share * middle
+    assert run_cli("decode", out).status == 0
+
+
+def test_stacks_are_aligned_by_their_lit_frames(stack, tmp_path):
+    out = tmp_path / "fused"
+    done = run_cli("fuse", stack, "--out", out, "--align", "translation", "--json")
+    assert done.status == 0, done.err
+    assert Capture.load(out).frames.shape == (7, 60, 100)
+
+
+def test_stacks_that_cannot_be_fused_are_refused(stack, tmp_path):
+    check_refused(run_cli("fuse", stack, "--out", stack), "--out", "another folder")
+    file = tmp_path / "file.txt"
+    file.write_text("x")
+    check_refused(run_cli("fuse", stack, "--out", file), "--out", "a file")
+    out = ("--out", tmp_path / "fused")
+    check_refused(run_cli("fuse", stack, *out, "--method", "best"), "--method", "best")
+    aligned = ("--method", "modulation", "--align", "affine")
+    check_refused(run_cli("fuse", stack, *out, *aligned), "--align", "affine")
+    (stack / "focus002" / "capture.toml").unlink()
+    check_refused(run_cli("fuse", stack, *out), "focus002")
+    assert not (tmp_path / "fused").exists()
