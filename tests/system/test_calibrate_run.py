@@ -31,6 +31,7 @@ def outcome(tmp_path_factory):
     return out, json.loads(done.out)
 
 
+@pytest.mark.slow
 def test_files_and_numbers(outcome):
     out, printed = outcome
     assert {path.name for path in out.iterdir()} == FILES
@@ -49,6 +50,7 @@ def test_files_and_numbers(outcome):
     assert {"polynomial", "linear table", "reciprocal table"} <= set(baselines)
 
 
+@pytest.mark.slow
 def test_the_model_measures_another_capture(outcome, tmp_path):
     # A plate under the same microscope, measured with the calibration instead of the rig.
     out, _ = outcome

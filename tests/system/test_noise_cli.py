@@ -19,6 +19,7 @@ def outcome(tmp_path_factory):
     return out, json.loads(done.out)
 
 
+@pytest.mark.slow
 def test_files_and_numbers(outcome):
     out, printed = outcome
     names = {"single", "fused-lit", "fused-modulation"}
@@ -32,6 +33,7 @@ def test_files_and_numbers(outcome):
     assert cv2.imread(str(out / "noise.png")).shape[1] == 1560
 
 
+@pytest.mark.slow
 def test_out_of_focus_fusion_by_modulation_more_than_halves_the_noise(outcome):
     _, printed = outcome
     single, modulation, lit = (
@@ -47,6 +49,7 @@ def test_out_of_focus_fusion_by_modulation_more_than_halves_the_noise(outcome):
     assert np.all(single[5] > 3.0 * single[0])
 
 
+@pytest.mark.slow
 def test_the_designer_takes_the_tables(outcome):
     out, _ = outcome
     last = {}
