@@ -27,7 +27,7 @@ demo: $(RUN_STAMP)
 	@echo "The pictures are in $(CURDIR)/out/demo"
 
 test: lint
-	$(BIN)/python -m pytest -m "not slow" --benchmark-disable
+	$(BIN)/python -m pytest -n 2 -m "not slow" --benchmark-disable
 
 test-all: lint
 	$(BIN)/python -m pytest --benchmark-disable
