@@ -40,6 +40,8 @@ _KEYS = {"format", "captures", "camera_mm", "projector_mm"}
 _BITS = 16
 #: A fused pixel counts as saturated when this share of its weight is.
 _SATURATED_SHARE = 0.01
+#: Modulation that is nothing but rounding, DN: there all settings count alike.
+_DARK = 1e-6
 #: Weight of the best setting.
 _FULL = 65535
 
@@ -335,10 +337,11 @@ def modulation_weights(stack: FocusStack, window: int = 9) -> FusionWeights:
         [cv2.blur((wave * reference).real, (window, window)).clip(min=0.0) for wave in waves]
     )
     peak = np.max(in_step, axis=0)
-    in_step = np.where(peak > 0.0, in_step / np.maximum(peak, 1e-12), 1.0)
+    seen = peak > _DARK
+    in_step = np.where(seen, in_step / np.where(seen, peak, 1.0), 1.0)
     weights = np.rint(_FULL * in_step).astype(np.uint16)
     nowhere = np.full(peak.shape, np.nan)
-    return FusionWeights(weights, np.where(peak > 0.0, best, np.nan), nowhere)
+    return FusionWeights(weights, np.where(seen, best, np.nan), nowhere)
 
 
 def _check_alike(where: str, first: Capture, other: Capture) -> None:

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from slbench.capture import Capture, capture, exposure, radiance_batches
 from slbench.detector import expected_dn
 from slbench.errors import InputError
-from slbench.focusstack import FocusStack, FusedCapture
+from slbench.focusstack import FocusStack, FusedCapture, modulation_weights
+from slbench.fusion import maximum_weights, pyramid_selection, selective_weights
 from slbench.patterns import Fringes, relative_phase
 from slbench.scene import Scene
 from slbench.transport import LightTransport
@@ -127,6 +128,26 @@ def score_fusion(
         for place, mask in places.items():
             results[f"{name}_{place}"] = _sharpness(square[mask], off[mask])
     return FusionScore(finest, **results)
+
+
+def compare_fusions(
+    stack: FocusStack, scene: Scene, transport: LightTransport, truth: GroundTruth
+) -> dict[str, FusionScore]:
+    """Score every way to fuse a stack: selective, maximum, pyramid, and by modulation.
+
+    Parameters are those of :func:`score_fusion`; the first three are weighted by the lit frames.
+    """
+    lit = stack.lit()
+    ways = {
+        "saf": selective_weights(lit),
+        "maximum": maximum_weights(lit),
+        "pyramid": pyramid_selection(lit),
+        "modulation": modulation_weights(stack),
+    }
+    return {
+        name: score_fusion(stack, stack.fuse_with(weights), scene, transport, truth)
+        for name, weights in ways.items()
+    }
 
 
 def _sharpness(square: Array, off: Array) -> Sharpness:

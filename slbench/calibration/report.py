@@ -72,6 +72,7 @@ def to_dict(
         "positions": len(experiment.positions_mm),
         "detection": {
             "bias_px": np.median(experiment.detection_px, axis=0),
+            "scatter_px": np.std(experiment.detection_px, axis=0),
             "median_px": float(np.median(error)),
             "p95_px": float(np.percentile(error, 95.0)),
         },

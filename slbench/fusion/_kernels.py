@@ -23,6 +23,28 @@ _FLOOR = 1e-12  # least focus measure as a fraction of the peak, so that its log
 
 
 @njit(fastmath=_FAST, error_model="numpy", nogil=True, cache=True)
+def _window_sums(image: Any, v: int, half: int, columns: Any, sums: Any) -> None:
+    """Write the sums over the windows about row `v` to `sums`, (U,); `columns` is room to work.
+
+    Beyond the border the edge repeats.  The type of `columns` and `sums` is that of the sums.
+    """
+    height, width = image.shape
+    inner = columns[half : half + width]
+    inner[:] = 0.0
+    sums[:] = 0.0
+    for k in range(-half, half + 1):
+        row = image[min(max(v + k, 0), height - 1)]
+        for u in range(width):
+            inner[u] += row[u]
+    columns[:half] = inner[0]
+    columns[half + width :] = inner[width - 1]
+    for k in range(2 * half + 1):
+        shifted = columns[k : k + width]  # a slice: its index needs no wrapping round
+        for u in range(width):
+            sums[u] += shifted[u]
+
+
+@njit(fastmath=_FAST, error_model="numpy", nogil=True, cache=True)
 def squared_deviation(image: Any, half: int, out: Any) -> None:
     """Write ``(I - B[I])^2``, B the mean over (2 half + 1)^2 pixels; (V, U) float32 both.
 
@@ -34,20 +56,8 @@ def squared_deviation(image: Any, half: int, out: Any) -> None:
     area = float(size * size)
     columns = np.empty(width + 2 * half)
     sums = np.empty(width)
-    inner = columns[half : half + width]
     for v in range(height):
-        inner[:] = 0.0
-        sums[:] = 0.0
-        for k in range(-half, half + 1):
-            row = image[min(max(v + k, 0), height - 1)]
-            for u in range(width):
-                inner[u] += row[u]
-        columns[:half] = inner[0]
-        columns[half + width :] = inner[width - 1]
-        for k in range(size):
-            shifted = columns[k : k + width]  # a slice: its index needs no wrapping round
-            for u in range(width):
-                sums[u] += shifted[u]
+        _window_sums(image, v, half, columns, sums)
         for u in range(width):
             deviation = (area * image[v, u] - sums[u]) / area
             out[v, u] = deviation * deviation
@@ -85,20 +95,8 @@ def box_mean(image: Any, half: int, out: Any) -> None:
     scale = np.float32(1.0 / (size * size))
     columns = np.empty(width + 2 * half, dtype=np.float32)
     sums = np.empty(width, dtype=np.float32)
-    inner = columns[half : half + width]
     for v in range(height):
-        inner[:] = 0.0
-        sums[:] = 0.0
-        for k in range(-half, half + 1):
-            row = image[min(max(v + k, 0), height - 1)]
-            for u in range(width):
-                inner[u] += row[u]
-        columns[:half] = inner[0]
-        columns[half + width :] = inner[width - 1]
-        for k in range(size):
-            shifted = columns[k : k + width]  # a slice: its index needs no wrapping round
-            for u in range(width):
-                sums[u] += shifted[u]
+        _window_sums(image, v, half, columns, sums)
         for u in range(width):
             out[v, u] = sums[u] * scale
 
