@@ -1,0 +1,1 @@
+"""Claims in a test suite: pytest collects ``*.claims.toml``."""
