@@ -1,0 +1,349 @@
+"""Pattern sets compared on one scene: same light, same pixels, their own noise.
+
+Light is traced once and serves all sets and repeats, so that what differs between two results is
+what the patterns and the detector do.  Every repeat of a set draws its noise from (seed, text of
+the set, repeat): a result does not depend on which other sets are compared or in what order.
+
+*Pixels.*  A deviation is taken over the pixels of smooth lit surface
+(:meth:`slbench.truth.GroundTruth.smooth`) that *every* set measured in at least two thirds of
+its repeats: the same pixels for all, so that a set gains nothing from giving up the hard ones.
+What it gives up is told by its completeness, over all lit pixels, and by its order errors, over
+all that it measured of the smooth surface; neither depends on the other sets.
+
+*Two rankings.*  By repeatability, the standard deviation over the repeats (thesis 7.2.2), and
+by distance from the truth.  The first alone would praise a code that repeats the same wrong
+value, as a Gray code does whose column is a pixel wide.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from slbench.bench.comparefigure import comparison_page, draw, tables
+from slbench.bench.comparison import Comparison, SetResult, Step
+from slbench.bench.repeated import Light, Repeats, scan_repeats
+from slbench.bench.sets import Equal, PatternSet, pattern_sets
+from slbench.bench.statistics import percentile_interval
+from slbench.bench.tiles import (
+    Pair,
+    bootstrap_medians,
+    compared,
+    ranked,
+    resamples_for,
+    tile_numbers,
+)
+from slbench.design.repeats import tagged_seed
+from slbench.errors import InputError
+from slbench.focusstack import WeightSource
+from slbench.io import atomic_folder, provenance, write_exr, write_json
+from slbench.io.atomic import write_bytes
+from slbench.report import Cloud, Picture
+from slbench.scene import Scene
+from slbench.transport import LightTransport
+from slbench.truth import GroundTruth
+
+__all__ = [
+    "Comparison",
+    "Pair",
+    "SetResult",
+    "Step",
+    "compare",
+    "comparison_page",
+    "draw",
+    "write_comparison",
+]
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, float], None]
+
+#: Share of the repeats in which every set must have measured a pixel that is compared.
+MEASURED = 2.0 / 3.0
+#: Tag of the bootstrap's random stream; those of the sets have five.
+_BOOTSTRAP = 1
+
+
+def compare(
+    scene: Scene,
+    sets: Sequence[str],
+    *,
+    repeats: int = 15,
+    equal: Equal | None = None,
+    seed: int = 0,
+    shifts: int = 3,
+    transport: Light | None = None,
+    truth: GroundTruth | None = None,
+    weights: WeightSource = "lit",
+    on_progress: Progress | None = None,
+) -> Comparison:
+    """Scan a scene repeatedly with each pattern set and compare what comes out.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its patterns are replaced; the axes that they code are those of the sets.  With focus
+        settings, every repeat is a fused stack.
+    sets : sequence of str
+        Such as ``"1,10,50"``, ``"1,10,50@4"``, ``"gray"`` (:meth:`PatternSequence.parse`).
+    repeats : int
+        Scans a set, at least 2 (15 in thesis 7.2).
+    equal : {"frames", "photons"} or None
+        What all sets are given the same of (:mod:`slbench.bench.sets`).
+    seed : int
+    shifts : int
+        Phase shifts where a set gives none.
+    transport : LightTransport or sequence of LightTransport, optional
+        Of the scene (one a focus setting), where it is at hand; traced otherwise.
+    truth : GroundTruth, optional
+        Likewise.
+    weights : {"lit", "modulation"}
+        Where a focus stack's settings are judged to be sharp.
+    on_progress : callable, optional
+        Called with the name of the stage and its finished fraction.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    BackendError
+        If light has to be traced and Mitsuba cannot run here.
+    InputError
+        For sets that cannot be compared (:func:`pattern_sets`), fewer than two repeats, or no
+        pixel that all sets measure.
+    """
+    chosen = pattern_sets(sets, scene, shifts=shifts, equal=equal)
+    if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 2:
+        raise InputError("repeats", "a whole number, at least 2", repr(repeats))
+    if seed < 0:
+        raise InputError("seed", "a whole number >= 0", seed)
+    if weights not in ("lit", "modulation"):
+        raise InputError("weights", "lit or modulation", repr(weights))
+    report = on_progress or (lambda stage, fraction: None)
+    seconds: dict[str, float] = {}
+    begin = time.perf_counter()
+
+    @contextmanager
+    def stage(name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        report(name, 0.0)
+        yield
+        report(name, 1.0)
+        seconds[name] = time.perf_counter() - start
+
+    with stage("trace"):
+        light = _traced(scene, chosen, seed) if transport is None else transport
+    with stage("truth"):
+        true = _true(scene) if truth is None else truth
+    smooth = np.flatnonzero(true.smooth())
+    if not len(smooth):
+        raise InputError(f"scene {scene.name}", "smooth surface that the projector lights", "none")
+    found: dict[str, Repeats] = {}
+    for k, one in enumerate(chosen):
+
+        def progress(done: float, k: int = k) -> None:
+            report("scans", (k + done) / len(chosen))
+
+        # Products of three numbers a point: threads of the linear algebra would but wait.
+        with threadpool_limits(1, user_api="blas"):
+            found[one.name] = scan_repeats(
+                scene,
+                one,
+                light,
+                true,
+                smooth,
+                repeats=repeats,
+                seed=seed,
+                weights=weights,
+                on_progress=progress,
+            )
+        for name, spent in found[one.name].stages.items():
+            seconds[name] = seconds.get(name, 0.0) + spent
+    with stage("statistics"):
+        common = _common(found, repeats)
+        pixels = smooth[common]
+        tiles = tile_numbers(true.lit.shape, pixels)
+        values = {
+            (name, quantity): array[common]
+            for name, result in found.items()
+            for quantity, array in _quantities(result).items()
+        }
+        resamples = resamples_for(math.comb(len(chosen), 2))
+        draws = bootstrap_medians(values, tiles, tagged_seed(seed, _BOOTSTRAP), resamples)
+        medians = {key: float(np.median(array)) for key, array in values.items()}
+        results = tuple(
+            _result(one, found[one.name], medians, draws, true, pixels, common) for one in chosen
+        )
+        std, error = (
+            {name: medians[name, quantity] for name in found} for quantity in ("std", "error")
+        )
+        std_draws, error_draws = (
+            {name: draws[name, quantity] for name in found} for quantity in ("std", "error")
+        )
+        ranking = ranked(std)
+    seconds["total"] = time.perf_counter() - begin
+    traced = light if isinstance(light, LightTransport) else light[0]
+    return Comparison(
+        scene=scene.name,
+        repeats=repeats,
+        seed=seed,
+        equal=equal,
+        sets=results,
+        ranking=ranking,
+        pairs=compared(std, std_draws),
+        error_ranking=ranked(error),
+        error_pairs=compared(error, error_draws),
+        pixels=len(pixels),
+        lit_pixels=int(np.count_nonzero(true.lit)),
+        tiles=int(tiles.max()) + 1,
+        cloud=_cloud(ranking[0], found[ranking[0]], true, pixels, common),
+        seconds=seconds,
+        parameters={
+            "scene": scene.specification,
+            "sets": {one.name: one.sequence.to_dict() for one in chosen},
+            "exposure_shares": {one.name: one.exposure_share for one in chosen},
+            "samples": traced.samples,
+            "repeats": repeats,
+            "equal": equal,
+        },
+    )
+
+
+def _traced(scene: Scene, chosen: Sequence[PatternSet], seed: int) -> Light:
+    """Trace the scene, or each of its focus settings, for the axes that the sets code."""
+    from slbench.render.trace import trace
+
+    axes = chosen[0].sequence.axes
+    if scene.focus is None:
+        return trace(scene, axes, seed=seed)
+    return [trace(scene.focused(k), axes, seed=seed) for k in range(len(scene.focus))]
+
+
+def _true(scene: Scene) -> GroundTruth:
+    from slbench.render.groundtruth import ground_truth
+
+    return ground_truth(scene)
+
+
+def _common(found: dict[str, Repeats], repeats: int) -> NDArray[np.bool_]:
+    """Tell which pixels every set measured often enough to be compared."""
+    least = max(2, math.ceil(MEASURED * repeats))
+    often = {name: result.scans >= least for name, result in found.items()}
+    common = np.logical_and.reduce(list(often.values()))
+    if not common.any():
+        shares = ", ".join(f"{name} {np.mean(enough):.2g}" for name, enough in often.items())
+        expected = f"pixels that all of them measure in {least} of {repeats} repeats"
+        raise InputError("sets", expected, f"none; their shares of the smooth lit ones: {shares}")
+    return common
+
+
+def _quantities(result: Repeats) -> dict[str, Array]:
+    """Return what medians are taken of, by name, (P,) each."""
+    scans = np.maximum(result.scans, 1)
+    error = np.sqrt(result.square_mm2 / scans)
+    return {"std": result.std_mm, "std_z": result.std_z_mm, "error": error}
+
+
+def _result(
+    one: PatternSet,
+    found: Repeats,
+    medians: dict[tuple[str, str], float],
+    draws: dict[tuple[str, str], Array],
+    truth: GroundTruth,
+    pixels: NDArray[np.intp],
+    common: NDArray[np.bool_],
+) -> SetResult:
+    interval = {
+        quantity: percentile_interval(draws[one.name, quantity])
+        for quantity in ("std", "std_z", "error")
+    }
+
+    predicted = found.predicted_mm[common]
+
+    def image(values: Array) -> Array:
+        picture = np.full(truth.lit.shape, np.nan)
+        picture.ravel()[pixels] = values[common]
+        return picture
+
+    return SetResult(
+        name=one.name,
+        sequence=one.sequence,
+        frames=one.frames,
+        exposure_s=found.exposure_s,
+        std_median_mm=medians[one.name, "std"],
+        std_ci95_mm=interval["std"],
+        std_z_median_mm=medians[one.name, "std_z"],
+        std_z_ci95_mm=interval["std_z"],
+        predicted_mm=float(np.median(predicted)),
+        std_over_predicted=float(np.sqrt(np.mean((found.std_mm[common] / predicted) ** 2))),
+        error_median_mm=medians[one.name, "error"],
+        error_ci95_mm=interval["error"],
+        bias_mm=float(np.mean(found.error_mm[common, 2])),
+        rms_mm=float(np.sqrt(found.square_mm2[common].sum() / found.scans[common].sum())),
+        order_error_rate=found.order_error_rate,
+        completeness=found.completeness,
+        seconds=found.seconds,
+        steps=found.steps,
+        std_mm=image(found.std_mm),
+        std_z_mm=image(found.std_z_mm),
+        error_mm=image(found.error_mm[:, 2]),
+        note=one.note,
+    )
+
+
+def _cloud(
+    name: str,
+    found: Repeats,
+    truth: GroundTruth,
+    pixels: NDArray[np.intp],
+    common: NDArray[np.bool_],
+) -> Cloud:
+    """Return the mean points of a set, to be coloured by error and deviation."""
+    true = truth.point.reshape(-1, 3)[pixels]
+    values = {
+        "height error / µm": 1e3 * found.error_mm[common, 2],
+        "standard deviation / µm": 1e3 * found.std_mm[common],
+    }
+    caption = "Mean over the repeats, at the pixels of the comparison."
+    return Cloud(f"Points of {{{name}}}", true + found.error_mm[common], values, true, caption)
+
+
+def write_comparison(comparison: Comparison, folder: str | Path) -> list[Path]:
+    """Write a comparison's files; nothing appears in `folder` until all are complete.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    folder : path
+
+    Returns
+    -------
+    list of Path
+        ``comparison.json``, ``comparison.md``, ``comparison.png``, ``maps/`` (an EXR a set:
+        ``std``, ``std.z`` and ``error.z``, mm, NaN outside the comparison) and
+        ``provenance.json``.
+    """
+    with atomic_folder(folder) as temporary:
+        write_json(temporary / "comparison.json", comparison.to_dict())
+        text = f"# {comparison.scene}: pattern sets compared\n\n"
+        text += "\n".join(table.markdown() for table in tables(comparison))
+        write_bytes(temporary / "comparison.md", text.encode())
+        picture = Picture.drawn("comparison", draw(comparison))
+        write_bytes(temporary / "comparison.png", picture.png)
+        for one in comparison.sets:
+            channels = {"std": one.std_mm, "std.z": one.std_z_mm, "error.z": one.error_mm}
+            path = temporary / "maps" / f"{one.name.replace(',', '_')}.exr"
+            write_exr(path, {name: image.astype(np.float32) for name, image in channels.items()})
+        write_json(
+            temporary / "provenance.json", provenance(comparison.parameters, comparison.seed)
+        )
+        names = [entry.name for entry in sorted(temporary.iterdir())]
+    return [Path(folder) / name for name in names]

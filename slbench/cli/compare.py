@@ -1,0 +1,120 @@
+"""``slbench compare``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from slbench.cli.common import (
+    Json,
+    Preview,
+    SceneName,
+    Seed,
+    check_folder,
+    print_json,
+    print_table,
+    progress,
+)
+from slbench.errors import InputError
+
+if TYPE_CHECKING:
+    from slbench.bench.comparison import Comparison
+
+EXAMPLE = "slbench compare step-block --set 1,10,50 --set 1,2,4 --set gray --repeats 15 --preview"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `app`."""
+    app.command(epilog=f"Example: {EXAMPLE}")(compare)
+
+
+def compare(
+    scene: SceneName,
+    sets: Annotated[
+        list[str],
+        typer.Option("--set", help='A pattern set, "1,10,50", "1,8@4", "gray"; give each.'),
+    ],
+    repeats: Annotated[int, typer.Option(min=2, max=10_000, help="Scans of each set.")] = 15,
+    equal: Annotated[
+        str | None,
+        typer.Option(help="Give all sets as many frames, or as much light: frames or photons."),
+    ] = None,
+    weights: Annotated[
+        str, typer.Option(help="Focus stacks: sharp by lit frames' texture, or by modulation.")
+    ] = "lit",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write to.  [default: out/compare-NAME]")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="HTML file to write: tables, pictures, cloud.")
+    ] = None,
+    seed: Seed = 0,
+    preview: Preview = False,
+    as_json: Json = False,
+) -> None:
+    """Compare pattern sets on a scene: repeated scans in the same light."""
+    from slbench.bench.compare import compare as run
+    from slbench.bench.compare import comparison_page, write_comparison
+    from slbench.bench.comparefigure import verdict
+    from slbench.bench.sets import pattern_sets
+    from slbench.scenefile import load_scene
+
+    if equal not in (None, "frames", "photons"):
+        raise InputError("--equal", "frames or photons", equal)
+    if weights not in ("lit", "modulation"):
+        raise InputError("--weights", "lit or modulation", weights)
+    if report is not None:
+        from slbench.report.page import check_page_path, write_page
+
+        check_page_path(report, "--report")
+    loaded = load_scene(scene, preview=preview)
+    pattern_sets(sets, loaded, equal=equal)  # type: ignore[arg-type]
+    folder = out or Path("out") / f"compare-{loaded.name}"
+    check_folder(folder)
+    with progress(as_json) as bar:
+        result = run(
+            loaded,
+            sets,
+            repeats=repeats,
+            equal=equal,  # type: ignore[arg-type]
+            seed=seed,
+            weights=weights,  # type: ignore[arg-type]
+            on_progress=bar,
+        )
+        write_comparison(result, folder)
+        if report is not None:
+            write_page(comparison_page(result), report)
+    if as_json:
+        print_json(result.to_dict() | {"out": str(folder)})
+        return
+    print_table(_table(result))
+    print(verdict(result))
+    for one in result.sets:
+        if one.note:
+            print(f"{{{one.name}}}: {one.note}")
+    print(f"Written to {folder}: open {folder / 'comparison.png'}")
+    if report is not None:
+        print(f"Written to {report}")
+
+
+def _table(result: Comparison) -> Table:
+    """Lay the sets out for a terminal: a column a set."""
+    from slbench.bench.comparefigure import tables
+
+    sets = tables(result)[0]
+    names, *cells = zip(*sets.texts(), strict=True)
+    share = 100.0 * result.pixels / result.lit_pixels
+    equal = f", equal {result.equal}" if result.equal else ""
+    table = Table(
+        title=f"{result.scene}: {result.repeats} repeats{equal}, {result.pixels} pixels, "
+        f"{share:.1f} % of the lit ones"
+    )
+    table.add_column("quantity")
+    for name in names:
+        table.add_column(f"{{{name}}}", justify="right")
+    for quantity, values in zip(sets.columns[1:], cells, strict=True):
+        table.add_row(quantity, *values)
+    return table
