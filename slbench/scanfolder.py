@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,20 +42,24 @@ def write_scan(result: Scan, folder: str | Path) -> list[Path]:
             write_cloud(temporary / "cloud.ply", result.cloud, result.truth)
         write_json(temporary / "score.json", result.to_dict())
         summary(result, temporary / "summary.png")
-        parameters = {
-            "scene": result.scene.specification,
-            "patterns": result.scene.sequence.to_dict(),
-            "samples": result.transport.samples,
-            "noise": result.noise,
-            "variant": result.variant,
-            "objects": [
-                {"name": item.artefact.name, "sha256": _digest(item.artefact.mesh)}
-                for item in result.scene.objects
-            ],
-        }
-        write_provenance(temporary, parameters, result.seed)
+        write_provenance(temporary, scan_parameters(result), result.seed)
         names = [entry.name for entry in sorted(temporary.iterdir())]
     return [Path(folder) / name for name in names]
+
+
+def scan_parameters(result: Scan) -> dict[str, Any]:
+    """Return what a scan depends on beside its seed, for its provenance."""
+    return {
+        "scene": result.scene.specification,
+        "patterns": result.scene.sequence.to_dict(),
+        "samples": result.transport.samples,
+        "noise": result.noise,
+        "variant": result.variant,
+        "objects": [
+            {"name": item.artefact.name, "sha256": _digest(item.artefact.mesh)}
+            for item in result.scene.objects
+        ],
+    }
 
 
 def _digest(mesh: Mesh) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,35 +26,57 @@ def summary(scan: Scan, path: str | Path) -> None:
     scan : Scan
     path : path of the PNG
     """
-    cloud, truth = scan.cloud, scan.truth
-    axis = next(iter(scan.phase.coordinate))
-    error_mm = point_errors(cloud, truth)[:, 2]
-    heights = cloud.image(cloud.points[:, 2])
     figure = Figure(figsize=(15.0, 8.4), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
-    panels = figure.subplots(2, 3)
-
-    shown, title = _frame_and_phase(scan, axis)
-    draw_image(panels[0, 0], scan.capture.frames[shown[0]], title, "gray", "DN")
-    if shown[1] is not None:
-        draw_image(panels[0, 1], shown[1], "Relative phase of that set", "twilight", "rad")
-    else:
-        draw_image(panels[0, 1], scan.phase.modulation, "Contrast", "viridis", "DN")
-    coordinate = scan.phase.coordinate[axis]
-    draw_image(panels[0, 2], coordinate, f"Panel coordinate {axis}", "viridis", "px")
-    draw_image(panels[1, 0], heights, "Measured height z", "viridis", "mm", robust=0.5)
-    error_um = cloud.image(error_mm * 1e3)
-    limit = _limit(error_mm * 1e3)
-    draw_image(panels[1, 1], error_um, "Height error", "RdBu_r", "µm", limits=(-limit, limit))
-    _histogram(panels[1, 2], scan, error_mm * 1e3, 1.5 * limit)
+    for axes, draw in zip(figure.subplots(2, 3).flat, panels(scan), strict=True):
+        draw(axes)
     score = scan.score
     figure.suptitle(
         f"{scan.scene.name}   {{{scan.scene.sequence.name}}}   {score.points} points, "
         f"{100 * score.completeness:.1f} % of lit pixels, median error "
-        f"{1e3 * score.median_abs_mm:.1f} µm, renderer's floor {scan.floor_rms_px:.3f} px"
+        f"{1e3 * score.median_abs_mm:.1f} µm, renderer's floor {scan.floor_rms_px:.3f} px",
+        parse_math=False,
     )
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
+
+
+def panels(scan: Scan) -> list[Callable[[Any], None]]:
+    """Return what draws each panel of :func:`summary` into matplotlib axes, titles included.
+
+    Parameters
+    ----------
+    scan : Scan
+
+    Returns
+    -------
+    list of callable
+        Frame, relative phase, panel coordinate, heights, height errors, their histogram.
+    """
+    cloud, truth = scan.cloud, scan.truth
+    axis = next(iter(scan.phase.coordinate))
+    error_um = point_errors(cloud, truth)[:, 2] * 1e3
+    limit = _limit(error_um)
+    (frame, phase), title = _frame_and_phase(scan, axis)
+
+    def image(values: NDArray, title: str, colours: str, unit: str, **options: Any) -> Any:
+        return lambda axes: draw_image(axes, values, title, colours, unit, **options)
+
+    second = (
+        image(scan.phase.modulation, "Contrast", "viridis", "DN")
+        if phase is None
+        else image(phase, "Relative phase of that set", "twilight", "rad")
+    )
+    heights = cloud.image(cloud.points[:, 2])
+    errors = cloud.image(error_um)
+    return [
+        image(scan.capture.frames[frame], title, "gray", "DN"),
+        second,
+        image(scan.phase.coordinate[axis], f"Panel coordinate {axis}", "viridis", "px"),
+        image(heights, "Measured height z", "viridis", "mm", robust=0.5),
+        image(errors, "Height error", "RdBu_r", "µm", limits=(-limit, limit)),
+        lambda axes: _histogram(axes, scan, error_um, 1.5 * limit),
+    ]
 
 
 def _frame_and_phase(scan: Scan, axis: str) -> tuple[tuple[int, NDArray | None], str]:

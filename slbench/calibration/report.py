@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from slbench.calibration.baselines import Comparison
 from slbench.calibration.experiment import Experiment
+from slbench.calibration.points import CalibrationPoints
 from slbench.calibration.selection import Selection
 from slbench.io import atomic_folder, atomic_path, write_json, write_provenance, write_table
 
@@ -19,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Thesis table 13: validation RMS and MAD, um.
 THESIS_13 = {"x": (0.44, 0.34), "y": (0.57, 0.46), "z": (1.50, 1.24)}
+#: Its last row, the root sum square.
+THESIS_13_TOTAL = (1.67, 1.36)
 _UM = 1e3
 
 
@@ -57,8 +60,14 @@ def write_experiment(
         write_json(temporary / "calibration.json", to_dict(experiment, selection, comparison))
         with atomic_path(temporary / "tables.md") as path:
             path.write_text(tables(experiment, selection, comparison), encoding="utf-8")
-        _draw_models(selection, temporary / "models.png")
-        _draw_residuals(experiment, selection, temporary / "residuals.png")
+        pictures = {
+            "models": models_figure(selection),
+            "residuals": residuals_figure(experiment.points, selection),
+        }
+        for name, figure in pictures.items():
+            FigureCanvasAgg(figure)
+            with atomic_path(temporary / f"{name}.png") as path:
+                figure.savefig(path, format="png")
         write_provenance(temporary, parameters, seed)
 
 
@@ -91,17 +100,8 @@ def tables(experiment: Experiment, selection: Selection, comparison: Comparison 
         "| coordinate | model | RMS | thesis | MAD | thesis |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    for name, score in selection.final.items():
-        rms, mad = THESIS_13[name]
-        lines.append(
-            f"| {name} | {selection.selected[name]} | {_UM * score.validation_rms:.3f} | {rms} | "
-            f"{_UM * score.validation_mad:.3f} | {mad} |"
-        )
-    total = selection.isometric
-    lines.append(
-        f"| root sum square | | {_UM * total['validation_rms']:.3f} | 1.67 | "
-        f"{_UM * total['validation_mad']:.3f} | 1.36 |"
-    )
+    for name, form, rms, thesis_rms, mad, thesis_mad in validation_rows(selection):
+        lines.append(f"| {name} | {form} | {rms:.3f} | {thesis_rms} | {mad:.3f} | {thesis_mad} |")
     lines += ["", "## Coefficients (thesis table 12) in raw pixels, mm", ""]
     for name, terms in selection.model.raw_coefficients().items():
         text = ", ".join(f"{term}: {value:.6g}" for term, value in terms.items())
@@ -114,17 +114,70 @@ def tables(experiment: Experiment, selection: Selection, comparison: Comparison 
             "| method | RMS x | RMS y | RMS z | 3-D RMS | answers |",
             "| --- | --- | --- | --- | --- | --- |",
         ]
-        for method, result in comparison.scores.items():
-            values = " | ".join(f"{_UM * result.rms[c]:.3f}" for c in "xyz")
-            total_um, share = _UM * result.rms_3d, 100.0 * result.measured
-            lines.append(f"| {method} | {values} | {total_um:.3f} | {share:.0f} % |")
+        for method, *errors, share in method_rows(comparison):
+            values = " | ".join(f"{value:.3f}" for value in errors)
+            lines.append(f"| {method} | {values} | {share:.0f} % |")
     return "\n".join(lines) + "\n"
 
 
-def _draw_models(selection: Selection, path: Path) -> None:
-    """Error and selection metrics of every model, as thesis figs. 30-32."""
+def validation_rows(selection: Selection) -> list[tuple[str, str, float, float, float, float]]:
+    """Return table 13: coordinate, form, RMS, the thesis's, MAD, the thesis's; um.
+
+    The last row is the root sum square over the coordinates.
+    """
+    rows = []
+    for name, score in selection.final.items():
+        rms, mad = THESIS_13[name]
+        ours = (_UM * score.validation_rms, _UM * score.validation_mad)
+        rows.append((name, selection.selected[name], ours[0], rms, ours[1], mad))
+    total = selection.isometric
+    rms, mad = THESIS_13_TOTAL
+    ours = (_UM * total["validation_rms"], _UM * total["validation_mad"])
+    return [*rows, ("root sum square", "", ours[0], rms, ours[1], mad)]
+
+
+def score_rows(
+    selection: Selection,
+) -> list[tuple[str, str, bool, float, float, float, float, float]]:
+    """Return every model's errors (thesis figs. 30-32), um.
+
+    Coordinate, form, whether it is selected, training RMS, validation RMS and MAD, root of the
+    residual mean square, leave-one-out error.
+    """
+    return [
+        (
+            name,
+            form,
+            selection.selected[name] == form,
+            _UM * score.train_rms,
+            _UM * score.validation_rms,
+            _UM * score.validation_mad,
+            _UM * score.residual_ms**0.5,
+            _UM * score.cv,
+        )
+        for name, forms in selection.scores.items()
+        for form, score in forms.items()
+    ]
+
+
+def method_rows(comparison: Comparison) -> list[tuple[str, float, float, float, float, float]]:
+    """Return each method's RMS in x, y, z and 3-D, um, and its share of answers, per cent."""
+    return [
+        (
+            method,
+            _UM * result.rms["x"],
+            _UM * result.rms["y"],
+            _UM * result.rms["z"],
+            _UM * result.rms_3d,
+            100.0 * result.measured,
+        )
+        for method, result in comparison.scores.items()
+    ]
+
+
+def models_figure(selection: Selection) -> Figure:
+    """Draw error and selection metrics of every model, as thesis figs. 30-32."""
     figure = Figure(figsize=(13.0, 4.2), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
     for axes, (name, scores) in zip(figure.subplots(1, 3), selection.scores.items(), strict=True):
         forms = list(scores)
         metrics = {
@@ -142,16 +195,14 @@ def _draw_models(selection: Selection, path: Path) -> None:
         axes.set_title(f"{name}: {selection.selected[name]} selected")
         axes.grid(visible=True, axis="y", which="both", alpha=0.3)
     figure.axes[0].legend(fontsize=8)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, format="png")
+    return figure
 
 
-def _draw_residuals(experiment: Experiment, selection: Selection, path: Path) -> None:
-    """Residuals of the validation points over the volume, seen along y."""
-    points = experiment.points.select(selection.validation)
+def residuals_figure(data: CalibrationPoints, selection: Selection) -> Figure:
+    """Draw residuals of the validation points of `data` over the volume, seen along y."""
+    points = data.select(selection.validation)
     residuals = selection.model.predict(points.inputs(selection.model.axes)) - points.world
     figure = Figure(figsize=(13.0, 4.2), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
     for k, (axes, name) in enumerate(zip(figure.subplots(1, 3), "xyz", strict=True)):
         values = _UM * residuals[:, k]
         limit = max(float(np.percentile(np.abs(values), 98.0)), 1e-6)
@@ -168,5 +219,4 @@ def _draw_residuals(experiment: Experiment, selection: Selection, path: Path) ->
         axes.set_ylabel("z / mm")
         axes.set_title(f"validation residual of {name}")
         figure.colorbar(shown, ax=axes, label="µm")
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, format="png")
+    return figure

@@ -36,13 +36,20 @@ def fit(
         float, typer.Option(help="Share of the points that validate and do not train.")
     ] = 0.2,
     seed: Seed = 0,
+    report: Annotated[
+        Path | None, typer.Option(help="Report to write too: one HTML page (.html).")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Fit the models of every world coordinate robustly and choose by cross-validation."""
     from slbench.calibration.points import CalibrationPoints
     from slbench.calibration.selection import select_models
+    from slbench.report.calibrationpage import calibration_page
+    from slbench.report.page import check_page_path, write_page
 
     _check_suffix(out, ".json")
+    if report is not None:
+        check_page_path(report)
     data = CalibrationPoints.read(points)
     selection = select_models(
         data,
@@ -53,8 +60,21 @@ def fit(
         seed=seed,
     )
     selection.model.save(out)
+    written = {"out": str(out)}
+    if report is not None:
+        parameters = {
+            "points": str(points),
+            "axes": axes,
+            "models": models,
+            "multivariate": multivariate,
+            "validation": validation,
+        }
+        title = f"Calibration by {points.name}"
+        page = calibration_page(data, selection, parameters=parameters, seed=seed, title=title)
+        write_page(page, report)
+        written["report"] = str(report)
     if as_json:
-        print_json(selection.to_dict() | {"axes": axes, "out": str(out)})
+        print_json(selection.to_dict() | {"axes": axes, **written})
         return
     print_table(_scores(selection))
     rms, mad = (1e3 * value for value in selection.isometric.values())
@@ -63,25 +83,19 @@ def fit(
         for form, score in forms.items():
             if not score.converged:
                 print(f"{name}, {form}: not converged in {score.iterations} iterations")
-    print(f"Written to {out}")
+    print(f"Written to {' and '.join(written.values())}")
 
 
 def _scores(selection: Any) -> Table:
     """Lay the scores of all models out as in thesis fig. 30-32 and table 13, in µm."""
+    from slbench.calibration.report import score_rows
+
     table = Table(title="errors / µm; * selected by the least CV")
     for name in ("model", "train RMS", "validation RMS", "validation MAD", "√residual MS", "CV"):
         table.add_column(name, justify="left" if name == "model" else "right")
-    for name, forms in selection.scores.items():
-        for form, score in forms.items():
-            values = (
-                score.train_rms,
-                score.validation_rms,
-                score.validation_mad,
-                score.residual_ms**0.5,
-                score.cv,
-            )
-            mark = " *" if selection.selected[name] == form else ""
-            table.add_row(f"{name} {form}{mark}", *(f"{1e3 * value:.4g}" for value in values))
+    for name, form, selected, *errors in score_rows(selection):
+        mark = " *" if selected else ""
+        table.add_row(f"{name} {form}{mark}", *(f"{value:.4g}" for value in errors))
     return table
 
 

@@ -53,6 +53,9 @@ def run(
         bool, typer.Option("--multivariate", help="Fit x, y and z together.")
     ] = False,
     seed: Seed = 0,
+    page: Annotated[
+        Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
+    ] = None,
     preview: Preview = False,
     as_json: Json = False,
 ) -> None:
@@ -68,9 +71,13 @@ def run(
     )
     from slbench.calibration.report import tables, to_dict, write_experiment
     from slbench.calibration.selection import select_models
+    from slbench.report.calibrationpage import calibration_page
+    from slbench.report.page import check_page_path, write_page
     from slbench.scenefile import load_scene
 
     check_folder(out)
+    if page is not None:
+        check_page_path(page)
     if remapping not in ("ring", "bilinear"):
         raise InputError("--remapping", "ring or bilinear", remapping)
     if weights not in ("lit", "modulation"):
@@ -117,8 +124,21 @@ def run(
         "weights": weights,
     }
     write_experiment(found, selection, comparison, out, parameters, seed)
+    written = {"out": str(out)}
+    if page is not None:
+        whole = calibration_page(
+            found.points,
+            selection,
+            comparison,
+            experiment=found,
+            parameters=parameters,
+            seed=seed,
+            title=f"Calibration by {loaded.name}",
+        )
+        write_page(whole, page)
+        written["report"] = str(page)
     if as_json:
-        print_json(to_dict(found, selection, comparison) | {"out": str(out)})
+        print_json(to_dict(found, selection, comparison) | written)
         return
     print(tables(found, selection, comparison))
-    print(f"Written to {out}: open {out / 'models.png'}")
+    print(f"Written to {out}: open {page or out / 'models.png'}")

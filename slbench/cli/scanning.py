@@ -55,10 +55,15 @@ def scan(
     weights: Annotated[
         str, typer.Option(help="Focus stacks: sharp by lit frames' texture, or by modulation.")
     ] = "lit",
+    page: Annotated[
+        Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
+    ] = None,
     preview: Preview = False,
     as_json: Json = False,
 ) -> None:
     """Measure a scene: trace, capture, decode, triangulate and score it."""
+    from slbench.report.page import check_page_path, write_page
+    from slbench.report.scanpage import scan_page
     from slbench.scan import scan as run
     from slbench.scanfolder import write_scan
     from slbench.scenefile import load_scene
@@ -77,6 +82,8 @@ def scan(
         raise InputError("--weights", "lit or modulation", weights)
     folder = out or Path("out") / loaded.name
     check_folder(folder)
+    if page is not None:
+        check_page_path(page)
     with progress(as_json) as report:
         result = run(
             loaded,
@@ -87,30 +94,26 @@ def scan(
             on_progress=report,
         )
         write_scan(result, folder)
+        if page is not None:
+            write_page(scan_page(result), page)
     if as_json:
-        print_json(result.to_dict() | {"out": str(folder)})
+        written = {"out": folder} if page is None else {"out": folder, "report": page}
+        print_json(result.to_dict() | written)
     else:
         print_table(_scan_table(result))
-        print(f"Written to {folder}: open {folder / 'summary.png'}")
+        print(f"Written to {folder}: open {page or folder / 'summary.png'}")
 
 
 def _scan_table(result: Any) -> Table:
     """Lay a scan's score out for people."""
-    score, seconds = result.score, result.seconds
+    from slbench.report.scanpage import overall_rows, seconds
+
+    score = result.score
     table = Table(title=f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}")
     table.add_column("quantity")
     table.add_column("value", justify="right")
     um = 1e3
-    rows: list[tuple[str, str]] = [
-        ("points", f"{score.points}"),
-        ("completeness", f"{100 * score.completeness:.2f} % of lit pixels"),
-        ("median error", f"{um * score.median_abs_mm:.2f} µm"),
-        ("95th percentile", f"{um * score.p95_abs_mm:.2f} µm"),
-        ("RMS error, edges included", f"{um * score.rms_mm:.2f} µm"),
-        ("RMS error, smooth surface", f"{um * score.smooth_rms_mm:.2f} µm"),
-        ("predicted from noise alone", f"{um * score.predicted_sigma_mm:.2f} µm"),
-        ("renderer's own floor", f"{result.floor_rms_px:.4f} px"),
-    ]
+    rows = overall_rows(result)
     rows += [
         (
             f"step {step.nominal_mm:g} mm",
@@ -144,7 +147,7 @@ def _scan_table(result: Any) -> Table:
                 ("outside", fusion.fused_outside, fusion.middle_outside),
             )
         ]
-    rows.append(("seconds", ", ".join(f"{k} {v:.2f}" for k, v in seconds.items())))
+    rows.append(("seconds", seconds(result)))
     for row in rows:
         table.add_row(*row)
     return table

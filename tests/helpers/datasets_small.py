@@ -1,0 +1,158 @@
+"""A small data set, scanned and packed once a session through the format's own layer.
+
+Eight samples of 64 x 48 camera pixels in two shards, and one that failed: step blocks of four
+heights (each height twice, the second time elsewhere), every other one in ambient light and
+with a ball before it.
+"""
+
+import functools
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomli_w
+
+from slbench.datasets import index, sample, shards
+from slbench.datasets.manifest import MANIFEST, Manifest
+from slbench.datasets.storage import Storage
+from slbench.rig.opencv import write_rig
+from slbench.scan import Scan, scan
+from slbench.scenefile import load_scene, read_merged
+
+COUNT, PER_SHARD, FAILED = 9, 5, 4
+PATTERNS = "1,8@3"
+DRAWN = {"height_mm": "double", "ambient": "double"}
+
+
+def specification(number: int) -> dict[str, Any]:
+    """Return the scene file's content of a sample."""
+    path = Path(tempfile.gettempdir()) / "slbench-small-base.toml"
+    path.write_text(tomli_w.dumps({"extends": "hardware/macro-ch6", "name": "base"}))
+    content = read_merged(path)
+    path.unlink()
+    block = {"heights_mm": [height(number)], "step_length_mm": 25.0, "width_mm": 40.0}
+    content |= {
+        "name": f"small-{number}",
+        "camera": content["camera"] | {"resolution_px": [64, 48], "pitch_um": 74.0},
+        "patterns": {"sequence": PATTERNS, "shifts": 3, "axes": "u"},
+        "render": {"samples": 16},
+        "light": {"ambient_w_per_m2": ambient(number), "bounces": 0},
+        "objects": [
+            {
+                "kind": "step_block",
+                "parameters": block,
+                "position_mm": [float(number % 5) - 2.0, 0.0, 0.0],
+                "rotation_deg": [0.0, 0.0, 10.0 * number],
+                "material": "matt-white-spray",
+            }
+        ],
+    }
+    if number % 2:
+        ball = {"radius_mm": 6.0, "max_form_error_um": 20.0}
+        content["objects"].append(
+            {
+                "kind": "sphere",
+                "parameters": ball,
+                "position_mm": [8.0, 4.0, 14.0],
+                "material": "matt-white-spray",
+            }
+        )
+    return content
+
+
+def height(number: int) -> float:
+    return 2.0 + number % 4
+
+
+def ambient(number: int) -> float:
+    return 0.5 * (number % 2)
+
+
+def seed_of(number: int) -> int:
+    return 100 + number
+
+
+@functools.cache
+def result_of(number: int) -> Scan:
+    """Scan a sample's scene afresh."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.toml"
+        path.write_text(tomli_w.dumps(specification(number)))
+        return scan(load_scene(path), seed=seed_of(number))
+
+
+def members(number: int, frames: bool = True) -> dict[str, bytes]:
+    """Return a sample's files."""
+    result = result_of(number)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / sample.SCENE).write_text(tomli_w.dumps(specification(number)))
+        write_rig(folder / sample.RIG, result.scene.rig)
+        sample.write_transport(folder / sample.TRANSPORT, result.transport)
+        result.truth.save(folder / sample.TRUTH)
+        score = {"captures": {"p0r0": result.score.to_dict()} if frames else {}}
+        (folder / sample.SCORE).write_text(json.dumps(score, default=float))
+        (folder / sample.PROVENANCE).write_text("{}")
+        if frames:
+            sample.write_capture(folder, "p0r0", result.capture)
+        return sample.from_folder(folder)
+
+
+@functools.cache
+def packed(number: int, frames: bool) -> bytes:
+    return shards.pack(number, members(number, frames))
+
+
+def write_dataset(folder: Path, frames: bool = True) -> Path:
+    """Write the data set to `folder` and return it."""
+    drawn = index.columns(DRAWN, ["p0r0"] if frames else [])
+    patterns = {"p0": result_of(0).scene.sequence.to_dict()} if frames else {}
+    manifest = Manifest(
+        name="small",
+        description="",
+        licence="CC0-1.0",
+        seed=0,
+        count=COUNT,
+        preview=False,
+        samples_per_shard=PER_SHARD,
+        captures=patterns,
+        columns=drawn,
+        drawn=tuple(DRAWN),
+        environment={},
+        specification={},
+        files={},
+    )
+    storage = Storage(str(folder))
+    manifest.save(storage)
+    content = [bytearray() for _ in range(manifest.shards)]
+    rows = []
+    for number in range(COUNT):
+        row: dict[str, Any] = {"sample": number, "key": shards.key(number), "attempts": 1}
+        rows.append(row)
+        if number == FAILED:
+            row |= {"status": index.FAILED, "reason": "no lit pixels"}
+            continue
+        shard = manifest.shard_of(number)
+        run = packed(number, frames)
+        result = result_of(number)
+        row |= {
+            "status": index.OK,
+            "shard": shards.shard_name(shard),
+            "offset": len(content[shard]),
+            "size": len(run),
+            "sha256": shards.digest(run),
+            "kind": "step_block",
+            "object": shards.digest(result.scene.objects[0].artefact.mesh.vertices.tobytes()),
+            "seed": seed_of(number),
+            "height_mm": height(number),
+            "ambient": ambient(number),
+            "lit_pixels": int(np.count_nonzero(result.truth.lit)),
+        }
+        content[shard] += run
+    for shard, run in enumerate(content):
+        storage.write(shards.shard_name(shard), bytes(run) + shards.END)
+    storage.write(index.INDEX, index.encode(rows, drawn))
+    assert storage.exists(MANIFEST)
+    return folder
