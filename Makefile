@@ -5,6 +5,7 @@
 #   make test-all  the slow tests too
 #   make bench     timings only (tests/benchmarks)
 #   make lint      ruff and mypy
+#   make docs      the documentation as a website, into out/docs
 #   make clean     remove everything that make has made, the environment included
 #
 # Another interpreter: make PYTHON=/path/to/python3.12 demo
@@ -17,10 +18,11 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c const
 # Stamps: the environment is installed again only when what it is made from changes.
 RUN_STAMP := $(VENV)/.installed
 TEST_STAMP := $(VENV)/.installed-test
+DOCS_STAMP := $(VENV)/.installed-docs
 INSTALLED_FROM := pyproject.toml constraints.txt
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-all bench lint clean
+.PHONY: demo test test-all bench lint docs clean
 
 demo: $(RUN_STAMP)
 	$(BIN)/slbench scan step-block --out out/demo
@@ -40,6 +42,11 @@ lint: $(TEST_STAMP)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
+# Warnings are errors: a broken link, reference or formula fails the build.
+docs: $(DOCS_STAMP)
+	$(BIN)/python -m sphinx -b html -n -W --keep-going -q -d out/docs-cache docs out/docs
+	@echo "Open $(CURDIR)/out/docs/index.html"
+
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
 	    echo "make: slbench needs Python 3.11 or newer, and $(PYTHON) is not: make PYTHON=/path/to/python3.11" >&2; \
@@ -53,6 +60,10 @@ $(RUN_STAMP): $(INSTALLED_FROM) | $(BIN)/python
 # The test environment contains the plain one, so both stamps are set.
 $(TEST_STAMP): $(INSTALLED_FROM) | $(BIN)/python
 	$(PIP) -e '.[test]'
+	@touch $(RUN_STAMP) $@
+
+$(DOCS_STAMP): $(INSTALLED_FROM) | $(BIN)/python
+	$(PIP) -e '.[docs]'
 	@touch $(RUN_STAMP) $@
 
 clean:

@@ -25,3 +25,7 @@ class InputError(ValueError):
         self.got = got
         line = f"{self.where}: expected {expected}, got {got}"
         super().__init__(" ".join(line.split()))
+
+    def __reduce__(self) -> tuple[type, tuple[str, str, object]]:
+        # An error of a worker process reaches its caller whole.
+        return type(self), (self.where, self.expected, self.got)

@@ -326,7 +326,12 @@ def load_scene(name_or_path: str | Path, *, preview: bool = False) -> Scene:
 
 def read_merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read a scene file, merged into what it extends."""
-    content = read_toml(path)
+    return extended(read_toml(path), path, seen)
+
+
+def extended(content: dict[str, Any], path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Return a scene's content merged into what it extends; `path` is where it was read."""
+    content = dict(content)
     base = content.pop("extends", None)
     if base is None:
         return content

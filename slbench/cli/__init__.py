@@ -13,16 +13,34 @@ from typing import Annotated
 import typer
 
 from slbench import __version__
-from slbench.cli import artefacts, calibrate, calibration_run, design, fusing, scanning, scenes
+from slbench.cli import (
+    artefacts,
+    bench,
+    calibrate,
+    calibration_run,
+    check,
+    compare,
+    dataset,
+    design,
+    fusing,
+    register,
+    scanning,
+    scenes,
+)
 from slbench.cli.common import Json, new_app, print_json, print_table
 from slbench.errors import InputError
 
 app = new_app("A physically based synthetic structured-light scanner and test bench.", "slbench")
 scanning.register(app)
 fusing.register(app)
+check.register(app)
+compare.register(app)
+bench.register(app)
+register.register(app)
 app.add_typer(scenes.app, name="scene")
 app.add_typer(artefacts.app, name="objects")
 app.add_typer(design.app, name="design")
+app.add_typer(dataset.app, name="dataset")
 calibrate.app.command(epilog=f"Example: {calibration_run.EXAMPLE}")(calibration_run.run)
 app.add_typer(calibrate.app, name="calibrate")
 

@@ -1,0 +1,43 @@
+"""What the thesis reports of its experiments: the numbers that ours stand beside."""
+
+from __future__ import annotations
+
+#: The two rigs of 6.2, in order.
+RIGS = ("optimal", "feasible")
+#: The feasible configuration of 6.2: z_ref, w, h, l / mm; alpha_P, beta_P / deg.
+FEASIBLE = (810.99, -413.97, -162.56, 159.65, -25.58, 10.89)
+#: Least, largest and mean RMS depth error of a plane, fig. 12, mm.
+PLANE_MM = {"optimal": (0.1869, 0.1992, 0.1924), "feasible": (0.2410, 0.2985, 0.2701)}
+#: Table 6: certified heights and those measured with either rig, mm.
+BLOCK_5_MM = (1.0, 2.5, 5.0)
+BLOCK_5_MEASURED_MM = {"optimal": (1.024, 2.513, 4.918), "feasible": (1.255, 2.672, 5.216)}
+
+#: The pattern sets of chapter 7: its own, the doubling one of as many steps, and the long one.
+OURS, DOUBLING, LONG = SETS = ("1,10,50", "1,2,4", "1,2,4,8,16")
+#: Numbers of their finest fringes.
+FINEST = (50, 4, 16)
+#: Standard deviation of the relative phase, 7.1.2, rad.
+NOISE_RAD = 0.036
+#: Scenes and what the thesis calls their objects.
+OBJECTS = {
+    "ch7-step-block": "step block",
+    "ch7-propeller": "propeller",
+    "ch7-gear": "gear",
+    "ch7-engine-block": "V6 engine block",
+}
+#: The one whose deviations are those of the height (table 8); of the point for the others.
+STEP_BLOCK = "ch7-step-block"
+#: Medians of the standard deviation, tables 8 and 9, um, in the order of the sets.
+STD_UM = {
+    "ch7-step-block": (46.86, 195.54, 64.42),
+    "ch7-propeller": (32.25, 119.45, 38.98),
+    "ch7-gear": (32.52, 119.45, 40.88),
+    "ch7-engine-block": (44.26, 154.86, 54.26),
+}
+#: Table 7: certified heights and those measured with each set, mm.
+BLOCK_20_MM = (2.5, 5.0, 10.0, 15.0, 20.0)
+BLOCK_20_MEASURED_MM = {
+    OURS: (2.460, 4.889, 9.922, 14.892, 19.850),
+    DOUBLING: (2.560, 4.627, 9.658, 14.724, 19.347),
+    LONG: (2.409, 4.885, 9.908, 14.887, 19.850),
+}

@@ -1,0 +1,202 @@
+r"""Does a claim hold?  Verdicts from repeated measurements.
+
+*A claim on the mean* (the default).  Of n repeats the margin m_i = bound - x_i (x_i - bound for a
+lower bound; the bound may itself be a measured quantity, then of the same repeat) is averaged with
+Student's interval at the claim's confidence c::
+
+    mean(m) +- t(n - 1, (1 + c) / 2) s / sqrt(n)
+
+The claim *holds* where the whole interval is at zero or above, *fails* where it is below zero, and
+is *undecided* where it straddles zero.  A claim that is false holds in at most (1 - c) / 2 of all
+runs, and one that is true fails in at most as many: 2.5 % at c = 0.95, and that only at the bound.
+
+*A claim on each single measurement* (``each``).  Scatter is what it is about, and magnitudes are
+not Gaussian, so no tolerance factor is used: k of n repeats lie within the bounds, and the
+interval of Clopper and Pearson (Biometrika 26, 1934) for the share of all measurements that do,
+distribution-free, is compared with the share that is claimed.  To hold needs repeats enough: 72
+for a share of 0.95 at a confidence of 0.95, all within.
+
+*How many repeats would decide?*  Where mean and spread are as they were seen, n repeats decide with
+a probability of about ``POWER`` if::
+
+    (t(n - 1, (1 + c) / 2) + t(n - 1, POWER)) s / sqrt(n) <= |mean(m)|
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import betaincinv, ndtri, stdtrit
+
+from slbench.bench.statistics import Interval, mean_interval
+
+Array = NDArray[np.float64]
+Status = Literal["holds", "fails", "undecided"]
+
+#: Probability with which the stated number of repeats would decide.
+POWER = 0.9
+#: More repeats than this are no advice.
+MAX_REPEATS = 10_000
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What repeats say of a claim.
+
+    Parameters
+    ----------
+    status : {"holds", "fails", "undecided"}
+    repeats : int
+        Measurements that were made.
+    missing : int
+        Those that gave no number.
+    measured : Interval
+        Mean of the quantity with its interval; NaN where a number is missing.
+    margin : Interval
+        Mean distance to the nearest bound, positive inside; for ``each`` the share of
+        measurements within the bounds, minus the share that is claimed.
+    share : Interval or None
+        For ``each``: share of the measurements within the bounds.
+    decide : int or None
+        Where undecided: repeats that would decide; None if more than ``MAX_REPEATS``.
+    """
+
+    status: Status
+    repeats: int
+    missing: int
+    measured: Interval
+    margin: Interval
+    share: Interval | None = None
+    decide: int | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "verdict": self.status,
+            "repeats": self.repeats,
+            "missing": self.missing,
+            "measured": self.measured.value,
+            "interval": self.measured[1:],
+            "margin": self.margin.value,
+            "margin_interval": self.margin[1:],
+            "share": None if self.share is None else self.share.value,
+            "share_interval": None if self.share is None else self.share[1:],
+            "repeats_to_decide": self.decide,
+        }
+
+
+def judge_mean(values: ArrayLike, margins: Sequence[ArrayLike], confidence: float) -> Verdict:
+    """Judge a claim on the mean.
+
+    Parameters
+    ----------
+    values : (n,) float
+        The quantity; NaN where it was not measured.
+    margins : sequence of (n,) float
+        How far inside each bound (one or two), repeat by repeat.
+    confidence : float
+
+    Returns
+    -------
+    Verdict
+        Fails where any number is missing: what was not measured does not hold.
+    """
+    x, m = np.asarray(values, float), np.atleast_2d(np.asarray(margins, float))
+    missing = int(np.count_nonzero(~(np.isfinite(x) & np.isfinite(m).all(axis=0))))
+    if missing:
+        none = Interval(float("nan"), float("nan"), float("nan"))
+        return Verdict("fails", len(x), missing, none, none)
+    intervals = [mean_interval(row, confidence) for row in m]
+    nearest = min(intervals, key=lambda interval: interval.low)
+    status: Status = "undecided"
+    if any(interval.high < 0.0 for interval in intervals):
+        status = "fails"
+    elif nearest.low >= 0.0:
+        status = "holds"
+    decide = None
+    if status == "undecided":
+        open_ones = [row for row, i in zip(m, intervals, strict=True) if i.low < 0.0]
+        needed = [_repeats_for_mean(row, confidence) for row in open_ones]
+        decide = None if None in needed else max(n for n in needed if n is not None)
+    return Verdict(status, len(x), 0, mean_interval(x, confidence), nearest, None, decide)
+
+
+def judge_each(
+    values: ArrayLike, margins: Sequence[ArrayLike], confidence: float, share: float
+) -> Verdict:
+    """Judge a claim on single measurements: at least a share of them lies within the bounds.
+
+    Parameters
+    ----------
+    values, margins, confidence
+        As for :func:`judge_mean`; what was not measured does not lie within.
+    share : float
+        In (0, 1).
+    """
+    x, m = np.asarray(values, float), np.atleast_2d(np.asarray(margins, float))
+    seen = np.isfinite(x) & np.isfinite(m).all(axis=0)
+    within = np.zeros(len(x), bool)
+    within[seen] = (m[:, seen] >= 0.0).all(axis=0)
+    n, k = len(x), int(np.count_nonzero(within))
+    found = share_interval(k, n, confidence)
+    status: Status = "undecided"
+    if found.low >= share:
+        status = "holds"
+    elif found.high < share:
+        status = "fails"
+    decide = _repeats_for_share(k / n, share, confidence, n) if status == "undecided" else None
+    none = Interval(float("nan"), float("nan"), float("nan"))
+    measured = mean_interval(x, confidence) if np.isfinite(x).all() else none
+    margin = Interval(*(limit - share for limit in found))
+    return Verdict(status, n, int(np.count_nonzero(~seen)), measured, margin, found, decide)
+
+
+def share_interval(k: int, n: int, confidence: float) -> Interval:
+    """Return the share k / n with the exact interval of Clopper and Pearson."""
+    tail = 0.5 * (1.0 - confidence)
+    low = float(betaincinv(k, n - k + 1, tail)) if k else 0.0
+    high = float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0
+    return Interval(k / n, low, high)
+
+
+def least_repeats(share: float, confidence: float) -> int:
+    """Return the fewest repeats that can show a share, all of them within the bounds."""
+    # share_interval(n, n).low is tail**(1 / n).
+    return int(np.ceil(np.log(0.5 * (1.0 - confidence)) / np.log(share) - 1e-9))
+
+
+def _repeats_for_mean(margin: Array, confidence: float) -> int | None:
+    """Return the number of repeats that would tell the mean margin from zero."""
+    mean, spread = abs(float(margin.mean())), float(margin.std(ddof=1))
+    n = _candidates(len(margin) + 1)
+    # stdtrit is Student's quantile, for many n at once.
+    factor = stdtrit(n - 1, 0.5 + 0.5 * confidence) + stdtrit(n - 1, POWER)
+    return _first(n, factor * spread / np.sqrt(n) <= mean)
+
+
+def _repeats_for_share(found: float, share: float, confidence: float, start: int) -> int | None:
+    """Return the number of repeats that would tell the share found from the one claimed."""
+    n = _candidates(start + 1)
+    tail = 0.5 * (1.0 - confidence)
+    # As seen, less what chance may take: POWER of all runs are nearer to what was seen.
+    slack = ndtri(POWER) * np.sqrt(found * (1.0 - found) * n)
+    if found > share:
+        k = np.clip(np.floor(found * n - slack), 1, n)
+        return _first(n, betaincinv(k, n - k + 1, tail) >= share)
+    k = np.clip(np.ceil(found * n + slack), 0, n - 1)
+    return _first(n, betaincinv(k + 1, n - k, 1.0 - tail) < share)
+
+
+def _candidates(start: int) -> Array:
+    """Return numbers of repeats from `start` to ``MAX_REPEATS``, a few per cent apart."""
+    steps = np.geomspace(start, max(MAX_REPEATS, start), 300)
+    return np.unique(np.ceil(steps))
+
+
+def _first(n: Array, decides: NDArray[np.bool_]) -> int | None:
+    """Return the first number that decides; None if none does."""
+    return int(n[np.argmax(decides)]) if decides.any() else None

@@ -1,0 +1,120 @@
+"""``slbench bench``: the thesis's experiments, re-run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+
+from slbench.cli.common import Json, Preview, Seed, check_folder, print_json, print_table, progress
+from slbench.errors import InputError
+
+if TYPE_CHECKING:
+    from slbench.bench.outcome import Outcome
+    from slbench.report import Page
+
+EXAMPLE = "slbench bench ch7 --preview --out out/bench --report out/bench/ch7.html"
+
+#: Chapters, in order; each is a module of :mod:`slbench.bench` with a function ``run_...``.
+CHAPTERS = ("ch6", "ch7", "ch8")
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `app`."""
+    app.command(epilog=f"Example: {EXAMPLE}")(bench)
+
+
+def bench(
+    chapter: Annotated[str, typer.Argument(help="Chapter of the thesis: ch6, ch7, ch8 or all.")],
+    out: Annotated[
+        Path, typer.Option(help="Folder to write to; each chapter gets one of its own in it.")
+    ] = Path("out/bench"),
+    report: Annotated[
+        Path | None, typer.Option(help="HTML file to write: findings, tables, pictures, clouds.")
+    ] = None,
+    seed: Seed = 0,
+    preview: Preview = False,
+    as_json: Json = False,
+) -> None:
+    """Re-run the experiments of a chapter, and judge each finding of the thesis."""
+    from slbench.bench.outcome import write_outcome
+
+    if chapter not in (*CHAPTERS, "all"):
+        raise InputError("chapter", f"one of {', '.join(CHAPTERS)}, all", chapter)
+    chosen = CHAPTERS if chapter == "all" else (chapter,)
+    for name in chosen:
+        check_folder(out / name)
+    if report is not None:
+        from slbench.report.page import check_page_path, write_page
+
+        check_page_path(report, "--report")
+    runners = {name: runner(name) for name in chosen}
+    outcomes = []
+    with progress(as_json) as bar:
+        for name, run in runners.items():
+            outcome = run(preview=preview, seed=seed, on_progress=_named(bar, name))
+            write_outcome(outcome, out / name)
+            outcomes.append(outcome)
+        if report is not None:
+            write_page(_page(outcomes), report)
+    if as_json:
+        results = {outcome.chapter: outcome.to_dict() for outcome in outcomes}
+        print_json({"chapters": results, "seed": seed, "out": str(out)})
+        return
+    for outcome in outcomes:
+        print_table(_findings(outcome))
+        for finding in outcome.findings:
+            print(f"{finding.name}: {finding.verdict}. {finding.evidence} {finding.why}".rstrip())
+        print(f"Written to {out / outcome.chapter}")
+    if report is not None:
+        print(f"Written to {report}")
+
+
+def runner(chapter: str) -> Callable[..., Outcome]:
+    """Return the function that runs a chapter; its module is imported now."""
+    run: Callable[..., Outcome] = getattr(
+        import_module(f"slbench.bench.{chapter}"), f"run_{chapter}"
+    )
+    return run
+
+
+def _named(bar: Any, chapter: str) -> Any:
+    """Return a callback that puts the chapter before the stage, or None."""
+    if bar is None:
+        return None
+
+    def on_progress(stage: str, fraction: float) -> None:
+        bar(f"{chapter} {stage}", fraction)
+
+    return on_progress
+
+
+def _page(outcomes: list[Outcome]) -> Page:
+    """Return the report of one chapter, or of several in one."""
+    from slbench.report import Page
+
+    pages = [outcome.page() for outcome in outcomes]
+    if len(pages) == 1:
+        return pages[0]
+    parts = tuple(part for page in pages for part in page.parts)
+    origin = dict(pages[0].provenance)
+    origin["parameters"] = {
+        outcome.chapter: page.provenance["parameters"]
+        for outcome, page in zip(outcomes, pages, strict=True)
+    }
+    return Page("The thesis's experiments, re-run", parts, origin)
+
+
+def _findings(outcome: Outcome) -> Table:
+    """Lay the findings out for a terminal."""
+    table = Table(title=outcome.title + (", preview" if outcome.preview else ""))
+    summary = outcome.summary
+    for k, name in enumerate(summary.columns):
+        table.add_column(name, justify="left" if k < 2 else "right", overflow="fold")
+    for row in summary.texts():
+        table.add_row(*row)
+    return table

@@ -1,0 +1,136 @@
+"""``slbench check``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.table import Table
+from rich.text import Text
+
+from slbench.cli.common import Json, Preview, Seed, print_json, print_table, progress
+from slbench.errors import InputError
+
+if TYPE_CHECKING:
+    from slbench.bench.check import Result
+    from slbench.bench.claims import Claim
+
+_STYLES = {"holds": "green", "fails": "red", "regressed": "red", "undecided": "yellow"}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to `app`."""
+    example = "slbench check accuracy.claims.toml --junit report.xml"
+    app.command(epilog=f"Example: {example}")(check)
+
+
+def check(
+    claims: Annotated[Path, typer.Argument(help="A claims file (TOML with [[claim]] tables).")],
+    junit: Annotated[Path | None, typer.Option(help="JUnit XML to write, for CI servers.")] = None,
+    update: Annotated[
+        bool, typer.Option("--update", help="Keep what is measured as the baseline.")
+    ] = False,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(
+            help="Baseline to write, or to compare with.  [default: CLAIMS.baseline.json, if there]"
+        ),
+    ] = None,
+    seed: Seed = 0,
+    preview: Preview = False,
+    as_json: Json = False,
+) -> None:
+    """Measure what a claims file claims: exit 0 all hold, 1 one fails, 3 one is undecided."""
+    from slbench.bench.baseline import (
+        Baseline,
+        check_fit,
+        compare_with,
+        default_path,
+        read_baseline,
+        write_baseline,
+    )
+    from slbench.bench.check import check_claim, exit_status, with_regressions
+    from slbench.bench.claims import load_claims
+    from slbench.bench.junit import write_junit
+    from slbench.bench.pools import Pools
+
+    loaded = load_claims(claims, preview=preview)
+    kept = baseline or default_path(claims)
+    for option, path in (("--junit", junit), ("--baseline", kept if update else None)):
+        if path is not None and path.is_dir():
+            raise InputError(option, "the name of a file", f"{path}, a folder")
+    with progress(as_json) as report:
+        pools = Pools(seed, report)
+        for claim in loaded:
+            _check(claim, pools, claims)
+        old: Baseline | None = None
+        if not update and (baseline is not None or kept.is_file()):
+            old = read_baseline(kept)
+            if preview and not old.preview and baseline is None:
+                print(f"{kept} is not of previews: not compared", file=sys.stderr)
+                old = None
+            else:
+                check_fit(old, loaded, pools)
+        results = [check_claim(claim, pools) for claim in loaded]
+    if old is not None:
+        results = with_regressions(results, compare_with(old, results))
+    if update:
+        write_baseline(kept, results, pools)
+    if junit is not None:
+        write_junit(junit, claims, results)
+    status = exit_status(results)
+    if as_json:
+        print_json(_summary(claims, results, seed, old is not None, status))
+    else:
+        print_table(_table(claims, results))
+        for result in results:
+            if result.outcome != "holds":
+                print(f"{result.claim.name}: {result.line()}")
+        if update:
+            print(f"Baseline written to {kept}")
+    raise typer.Exit(status)
+
+
+def _check(claim: Claim, pools: Any, path: Path) -> None:
+    """Check a claim before any is measured; an error names the file."""
+    try:
+        pools.check(claim)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
+
+
+def _summary(
+    path: Path, results: list[Result], seed: int, compared: bool, status: int
+) -> dict[str, Any]:
+    outcomes = [result.outcome for result in results]
+    return {
+        "file": str(path),
+        "seed": seed,
+        "baseline": compared,
+        "status": status,
+        "counts": {name: outcomes.count(name) for name in _STYLES},
+        "claims": [result.to_dict() for result in results],
+    }
+
+
+def _table(path: Path, results: list[Result]) -> Table:
+    from slbench.bench.check import spread
+
+    table = Table(title=path.name)
+    for name in ("claim", "measured", "claimed", "repeats", "verdict"):
+        table.add_column(name, justify="right" if name == "repeats" else "left")
+    for result in results:
+        measured = spread(result.verdict.measured)
+        if result.verdict.missing:
+            measured = f"missing in {result.verdict.missing}"
+        # Names come from a file: they are text, not markup.
+        table.add_row(
+            Text(result.claim.name),
+            Text(measured),
+            Text(result.limit_words()),
+            str(result.verdict.repeats),
+            Text(result.outcome, style=_STYLES[result.outcome]),
+        )
+    return table

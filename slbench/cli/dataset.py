@@ -1,0 +1,177 @@
+"""``slbench dataset``: make, verify and describe data sets."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Annotated, Any
+
+import typer
+
+from slbench.cli import dataset_export
+from slbench.cli.common import Json, Preview, Seed, new_app, print_json, print_table, progress
+from slbench.errors import InputError
+
+app = new_app("Data sets of many scans: make, verify, describe, export.")
+
+_MAKE = "slbench dataset make mixed --out data --count 100 --preview"
+#: How often a line tells how far a run is where there is no terminal, s.
+_QUIET_S = 30.0
+
+DatasetName = Annotated[str, typer.Argument(help="A data set: a folder or a URL.")]
+
+
+@app.command(epilog=f"Example: {_MAKE}")
+def make(
+    spec: Annotated[
+        str, typer.Argument(help="A specification (TOML), or the name of a shipped one.")
+    ],
+    out: Annotated[str, typer.Option(help="Folder or URL to write to.")],
+    count: Annotated[int, typer.Option(min=1, max=10_000_000, help="Number of samples.")],
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=0, max=1024, help="Worker processes; 0: this process.  [default: by this machine]"
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Use the cluster at this address, e.g. tcp://host:8786.")
+    ] = None,
+    preview: Preview = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Finish what an earlier run left there.")
+    ] = False,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Make a data set: draw scenes, scan them, pack them in shards with an index."""
+    from slbench.datasets.card import write_card
+    from slbench.datasets.cluster import LostError, existing_cluster, local_cluster, workers_here
+    from slbench.datasets.engine import check_request, make_dataset
+    from slbench.datasets.spec import load
+    from slbench.datasets.tasks import SupersededError
+
+    if scheduler is not None and workers is not None:
+        raise InputError("--workers", "no number of workers beside --scheduler", workers)
+    specification, files = load(spec)
+    # Ahead of the cluster, which takes seconds to start.
+    check_request(specification, files, out, seed=seed, preview=preview, resume=resume)
+    opened = (
+        local_cluster(workers_here() if workers is None else workers)
+        if scheduler is None
+        else existing_cluster(scheduler)
+    )
+    try:
+        with opened as cluster:
+            if not as_json and cluster.dashboard:
+                print(f"dashboard: {cluster.dashboard}", file=sys.stderr)
+            with _progress(as_json) as report:
+                made = make_dataset(
+                    specification,
+                    files,
+                    out,
+                    count,
+                    cluster,
+                    seed=seed,
+                    preview=preview,
+                    resume=resume,
+                    on_progress=report,
+                )
+    except (LostError, SupersededError) as error:
+        print(f"stopped: {error}; --resume makes the rest", file=sys.stderr)
+        raise typer.Exit(1) from None
+    write_card(out)
+    if as_json:
+        print_json(made.to_dict())
+    else:
+        rate = made.made / made.seconds
+        print(
+            f"{made.count - made.failed} samples in {out}: {made.made} made, {made.kept} kept, "
+            f"{made.failed} failed; {100.0 * made.rejection_rate:.1f} % of draws rejected; "
+            f"{rate:.2f} samples a second. Card: {out.rstrip('/')}/README.md"
+        )
+    if made.failed:
+        print(f"{made.failed} samples failed; slbench dataset info tells why", file=sys.stderr)
+        raise typer.Exit(1)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[int, int, int], None]]:
+    """Yield a callback (done, count, failed) that shows rate and time left."""
+    begin = time.monotonic()
+    first: list[int] = []
+    spoken = [begin]
+    with progress(quiet) as bar:
+
+        def report(done: int, count: int, failed: int) -> None:
+            now = time.monotonic()
+            first.append(done) if not first else None
+            rate = (done - first[0]) / max(now - begin, 1e-9)
+            left = f"{_span((count - done) / rate)} left" if rate > 0 else "-"
+            note = f"{done}/{count}, {rate:.2f}/s, {left}" + (f", {failed} failed" * bool(failed))
+            if bar is not None:
+                bar("samples", done / count, note)
+            elif not quiet and (now - spoken[0] > _QUIET_S or done == count):
+                spoken[0] = now
+                print(f"samples {note}", file=sys.stderr)
+
+        yield report
+
+
+def _span(seconds: float) -> str:
+    """Return a time as h:mm:ss."""
+    whole = int(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
+
+
+@app.command(epilog="Example: slbench dataset verify data")
+def verify(dataset: DatasetName, as_json: Json = False) -> None:
+    """Check every checksum, count and file of a data set."""
+    from slbench.datasets.verify import verify_dataset
+
+    with progress(as_json) as report:
+        tell = None if report is None else lambda done: report("verify", done)
+        problems, found = verify_dataset(dataset, tell)
+    if as_json:
+        print_json(found | {"problems": problems})
+    else:
+        for problem in problems:
+            print(problem)
+        state = f"{len(problems)} problems" if problems else "whole"
+        print(
+            f"{state}: {found['samples']} samples, {found['failed']} failed, "
+            f"{found['shards']} shards, {found['bytes'] / 1e6:.1f} MB"
+        )
+    if problems:
+        raise typer.Exit(1)
+
+
+@app.command(epilog="Example: slbench dataset info data --json")
+def info(dataset: DatasetName, as_json: Json = False) -> None:
+    """Say what a data set holds."""
+    from rich.table import Table
+
+    from slbench.datasets.verify import information
+
+    found = information(dataset)
+    if as_json:
+        print_json(found)
+        return
+    table = Table(title=str(found["name"]), show_header=False)
+    for key, value in found.items():
+        if key != "name":
+            table.add_row(key, _said(value))
+    print_table(table)
+
+
+def _said(value: Any) -> str:
+    if isinstance(value, dict):
+        return "\n".join(f"{key}: {_said(item)}" for key, item in value.items()) or "none"
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "none"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+app.command(epilog=f"Example: {dataset_export.EXAMPLE}")(dataset_export.export)

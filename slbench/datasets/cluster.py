@@ -1,0 +1,170 @@
+"""A Dask cluster: one of this machine's own, or one that is there already.
+
+A worker of this machine's own makes one sample at a time.  Tracing uses all cores, but a good
+part of a sample (building the scene, decoding, files) uses one, so several workers serve a
+machine better than one with many threads; see :func:`workers_here`.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from slbench.datasets.extras import extra
+from slbench.errors import InputError
+
+#: How long a scheduler may take to answer, s.
+_ANSWER_S = 10.0
+#: How long a cluster may take to have a worker, or to hand over what it has, s.
+_PATIENCE_S = 30.0
+#: How often the client looks whether the cluster is still there, s.
+_LOOK_S = 1.0
+
+
+class LostError(Exception):
+    """The cluster is gone; what was made is kept."""
+
+
+class Cluster:
+    """A client of a cluster, and what a run asks of it.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    dashboard : str or None
+        Address of the cluster's dashboard, if it has one.
+    """
+
+    def __init__(self, client: Any, dashboard: str | None) -> None:
+        self.dashboard = dashboard
+        self._client = client
+        self._distributed = extra("distributed")
+        self._cancelled: type[Exception] = extra("distributed.client").FuturesCancelledError
+        #: What a task raises whose workers died too often.
+        self.killed: type[Exception] = extra("distributed.scheduler").KilledWorker
+        #: How many may.
+        self.allowed_deaths = 1 + int(
+            extra("dask").config.get("distributed.scheduler.allowed-failures")
+        )
+
+    def threads(self) -> int:
+        """Return how many tasks the cluster does at a time, at least one."""
+        with self._reached():
+            return max(1, sum(self._client.nthreads().values()))
+
+    def submit(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Hand a task out; equal ones are done again."""
+        with self._reached():
+            return self._client.submit(function, *arguments, pure=False)
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Do a task on a worker and return its result."""
+        future = self.submit(function, *arguments)
+        while not self.finished([future]):
+            pass
+        return self.result(future)
+
+    def finished(self, futures: list[Any]) -> list[Any]:
+        """Return the tasks that are done; waits a moment if there are none.
+
+        Raises
+        ------
+        LostError
+            If the cluster is gone.
+        """
+        with self._reached(), suppress(TimeoutError, self._cancelled):
+            self._distributed.wait(futures, timeout=_LOOK_S, return_when="FIRST_COMPLETED")
+        if any(future.status == "cancelled" for future in futures):
+            raise LostError("the scheduler has lost the tasks")
+        return [future for future in futures if future.done()]
+
+    def result(self, future: Any) -> Any:
+        """Return what a finished task returned, or raise what it raised.
+
+        Where the worker that holds the result has died, the task is done again elsewhere.
+        """
+        while future.status != "error":
+            with self._reached(), suppress(TimeoutError, self._cancelled):
+                return future.result(timeout=_LOOK_S)
+            if future.status == "cancelled":
+                raise LostError("the scheduler has lost the tasks")
+        return future.result(timeout=_PATIENCE_S)
+
+    @contextmanager
+    def _reached(self) -> Iterator[None]:
+        """Turn what a broken connection raises into LostError."""
+        gone = "the scheduler does not answer any more"
+        if self._client.status != "running":
+            raise LostError(gone)
+        try:
+            yield
+        except TimeoutError:  # an OSError too, but no broken connection
+            raise
+        except (OSError, RuntimeError) as error:
+            raise LostError(f"{gone} ({error})") from None
+
+
+def workers_here() -> int:
+    """Return how many workers serve this machine well: one a core that may be used."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@contextmanager
+def local_cluster(workers: int) -> Iterator[Cluster]:
+    """Start a cluster on this machine.
+
+    Parameters
+    ----------
+    workers : int
+        Processes, one sample at a time each; 0: none, samples are made in this process.
+    """
+    distributed = extra("distributed")
+    _quiet()
+    with (
+        distributed.LocalCluster(
+            n_workers=max(1, workers),
+            threads_per_worker=1,
+            processes=workers > 0,
+            dashboard_address="127.0.0.1:0" if workers else None,
+            silence_logs=logging.CRITICAL,
+        ) as local,
+        distributed.Client(local) as client,
+    ):
+        yield Cluster(client, client.dashboard_link if workers else None)
+
+
+@contextmanager
+def existing_cluster(address: str) -> Iterator[Cluster]:
+    """Attach to a scheduler by its address, e.g. ``tcp://127.0.0.1:8786``.
+
+    Raises
+    ------
+    InputError
+        If none answers there, or it has no worker.
+    """
+    distributed = extra("distributed")
+    _quiet()
+    try:
+        client = distributed.Client(address, timeout=_ANSWER_S)
+    except (OSError, ValueError, TimeoutError) as error:
+        expected = "the address of a Dask scheduler, such as tcp://host:8786"
+        raise InputError("--scheduler", expected, f"{address} ({error})") from None
+    with client:
+        limit = time.monotonic() + _PATIENCE_S
+        while not client.nthreads():
+            if time.monotonic() > limit:
+                raise InputError("--scheduler", f"a worker at {address}", "none")
+            time.sleep(0.1)
+        yield Cluster(client, client.dashboard_link)
+
+
+def _quiet() -> None:
+    """Keep what Dask logs of dead workers off the terminal: the run tells what comes of them."""
+    for name in ("distributed", "tornado.application", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -1,0 +1,154 @@
+"""Export as one HDF5 file of arrays, as training on structured light expects them.
+
+N samples of F frames; lengths in mm, pixels with integer coordinates at their centres:
+
+=================  =============  ==========================================================
+``frames``         (N, F, V, U)   uint8 or uint16, digital numbers
+``depth``          (N, V, U)      float32, along the camera's axis; NaN where no surface is
+``mask``           (N, V, U)      bool, the projector lights the surface
+``panel``          (N, 2, V, U)   float32, projector column and row that see the point
+``K_camera``       (N, 3, 3)      and ``K_projector``; ``dist_camera`` and ``dist_projector``
+                                  (N, 14) are OpenCV's coefficients
+``R``, ``t``       (N, 3, 3),     from camera to projector coordinates: x_p = R x_c + t
+                   (N, 3)
+``sample``         (N,)           number in the data set; ``key``, ``seed``
+``parameters/X``   (N,)           what was drawn; NaN or empty where a sample has none
+=================  =============  ==========================================================
+
+A chunk is one sample's frames or map, so a sample is read without its neighbours.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import slbench
+from slbench.capture import Capture
+from slbench.datasets.extras import extra
+from slbench.datasets.reader import Dataset, Sample
+from slbench.datasets.recipe import Recipe
+from slbench.errors import InputError
+from slbench.rig.device import Device
+
+#: OpenCV's longest vector that a sensor tilt needs; shorter ones are filled with zeros.
+_COEFFICIENTS = 14
+_UNITS = {
+    "frames": "digital number",
+    "depth": "mm",
+    "mask": "1",
+    "panel": "px",
+    "K_camera": "px",
+    "K_projector": "px",
+    "dist_camera": "1",
+    "dist_projector": "1",
+    "R": "1",
+    "t": "mm",
+}
+
+
+def write_hdf5(data: Dataset, recipe: Recipe, path: Path) -> Iterator[int]:
+    """Write a selection to one file, a sample at a time.
+
+    Parameters
+    ----------
+    data : Dataset
+        Samples of one image size.
+    recipe : Recipe
+        Of one number of frames.
+    path : Path
+
+    Yields
+    ------
+    int
+        Samples written so far.
+
+    Raises
+    ------
+    InputError
+        If samples differ in image size or number of frames.
+    """
+    h5py = extra("h5py")
+    with h5py.File(path, "w", libver="latest") as file:
+        for done, item in enumerate(data, 1):
+            shots = recipe.shots(item)
+            arrays = _arrays(item, shots)
+            if done == 1:
+                _create(file, data, arrays)
+                _describe(file, data, recipe, shots)
+            for name, values in arrays.items():
+                if file[name].shape[1:] != values.shape:
+                    expected = f"{name} of shape {file[name].shape[1:]} as the first sample's"
+                    raise InputError(item.where, expected, values.shape)
+                file[name][done - 1] = values
+            yield done
+
+
+def _arrays(item: Sample, shots: Capture) -> dict[str, NDArray[Any]]:
+    truth, rig = item.truth, item.rig
+    camera, projector = rig.camera.pose, rig.projector.pose
+    return {
+        "frames": shots.frames,
+        "depth": truth.depth.astype(np.float32),
+        "mask": truth.lit,
+        "panel": np.moveaxis(truth.panel, -1, 0).astype(np.float32),
+        "K_camera": rig.camera.matrix,
+        "K_projector": rig.projector.matrix,
+        "dist_camera": _distortion(rig.camera),
+        "dist_projector": _distortion(rig.projector),
+        "R": projector.rotation.T @ camera.rotation,
+        "t": projector.to_local(camera.position),
+    }
+
+
+def _distortion(device: Device) -> NDArray[np.float64]:
+    values = device.opencv_distortion
+    return np.pad(values, (0, _COEFFICIENTS - values.size))
+
+
+def _create(file: Any, data: Dataset, arrays: dict[str, NDArray[Any]]) -> None:
+    """Create the arrays, and fill those that the index has already."""
+    count = len(data)
+    for name, values in arrays.items():
+        large = values.ndim > 1 and values.size > 9
+        # Shuffling puts the bytes that change little together: maps shrink by a third.
+        packed = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if large else {}
+        shape = (count, *values.shape)
+        file.create_dataset(name, shape, values.dtype, chunks=(1, *values.shape), **packed)
+        file[name].attrs["units"] = _UNITS[name]
+    text = extra("h5py").string_dtype()
+    file["sample"] = data.column("sample").astype(np.int64)
+    file["seed"] = data.column("seed").astype(np.int64)
+    file.create_dataset("key", data=list(data.column("key")), dtype=text)
+    group = file.create_group("parameters")
+    for name in ("kind", *data.manifest.drawn):
+        column = data.column(name)
+        if column.dtype == object:
+            group.create_dataset(name, data=[value or "" for value in column], dtype=text)
+        else:
+            group[name] = column
+
+
+def _describe(file: Any, data: Dataset, recipe: Recipe, shots: Capture) -> None:
+    file.attrs.update(
+        {
+            "title": data.manifest.name,
+            "licence": data.manifest.licence,
+            "slbench": slbench.__version__,
+            "patterns": json.dumps(shots.sequence.to_dict()),
+            "patterns_name": shots.sequence.name,
+            "bit_depth": shots.bit_depth,
+            "noise": recipe.noise,
+            "noise_seed": recipe.seed,
+        }
+    )
+    file["frames"].attrs["dimensions"] = "sample, frame, v, u"
+    file["depth"].attrs["meaning"] = "along the camera's optical axis; NaN where no surface is"
+    file["mask"].attrs["meaning"] = "the pixel's centre ray meets a point that the projector lights"
+    file["panel"].attrs["meaning"] = "projector (u, v) that sees the point; NaN where none"
+    file["R"].attrs["meaning"] = "x_projector = R x_camera + t"

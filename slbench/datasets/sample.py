@@ -1,0 +1,120 @@
+"""What one sample holds: the files that a scan leaves, as named members.
+
+``scene.toml``
+    The complete scene; a mesh that it names stands beside it.
+``rig.yaml``, ``transport.npz``, ``truth.exr``
+    As :func:`slbench.scanfolder.write_scan` writes them; the transport is deflated.
+``score.json``
+    Statistics of the sample, and the score of each capture.
+``provenance.json``
+    Versions, seed and drawn parameters; no time, no machine.
+``p0r0.capture.toml``, ``p0r0.frame.000.png``, ...
+    The frames of pattern set 0, repeat 0, and their manifest, for every set and repeat.
+
+Names are flat, so a sample's members written to one folder are files that every reader of the
+package takes as they are: ``load_scene(folder / "scene.toml")``,
+``Capture.load(folder / "p0r0.capture.toml")``.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from slbench.capture import MANIFEST, Capture
+from slbench.errors import InputError
+from slbench.io import read_toml, write_toml
+from slbench.transport import LightTransport
+
+SCENE = "scene.toml"
+RIG = "rig.yaml"
+TRANSPORT = "transport.npz"
+TRUTH = "truth.exr"
+SCORE = "score.json"
+PROVENANCE = "provenance.json"
+#: What every sample has.
+REQUIRED = (SCENE, RIG, TRANSPORT, TRUTH, SCORE, PROVENANCE)
+
+_CAPTURE = re.compile(r"(p[0-9]+r[0-9]+)\.capture\.toml")
+#: Bits of a float32's mantissa: with all of them the stored weights are the traced ones.
+EXACT_BITS = 23
+
+
+def capture_prefix(pattern_set: int, repeat: int) -> str:
+    """Return what the members of one capture start with, e.g. ``"p0r0"``."""
+    return f"p{pattern_set}r{repeat}"
+
+
+def capture_names(members: Iterable[str]) -> list[str]:
+    """Return the prefixes of the captures among a sample's members, in order."""
+    found = [match[1] for name in members if (match := _CAPTURE.fullmatch(name))]
+    return sorted(found, key=lambda prefix: [int(n) for n in prefix[1:].split("r")])
+
+
+def write_capture(folder: Path, prefix: str, shots: Capture) -> None:
+    """Write a capture's frames and manifest under flat names; the rig is the sample's."""
+    with tempfile.TemporaryDirectory(dir=folder) as temporary:
+        shots.save(temporary)
+        manifest = read_toml(Path(temporary) / MANIFEST)
+        names = [f"{prefix}.frame.{k:03d}.png" for k in range(len(shots.frames))]
+        for written, name in zip(manifest["frames"], names, strict=True):
+            (Path(temporary) / written).rename(folder / name)
+        manifest["frames"] = names
+        write_toml(folder / f"{prefix}.{MANIFEST}", manifest)
+
+
+def write_transport(path: Path, transport: LightTransport, bits: int = EXACT_BITS) -> None:
+    """Write light transport deflated, its weights rounded to `bits` of mantissa.
+
+    The file is one that :meth:`LightTransport.load` reads.  Rounding keeps the nearest of the
+    numbers with `bits` explicit bits, a relative error of at most ``2**-(bits + 1)``; the
+    zeros behind them deflate away.
+
+    Parameters
+    ----------
+    path : Path
+    transport : LightTransport
+    bits : int
+        From 1 to 23; 23 keeps the weights as they are.
+    """
+    if not 1 <= bits <= EXACT_BITS:
+        raise InputError("weight_bits", f"1 to {EXACT_BITS}", bits)
+    transport.save(path)
+    with np.load(path, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    drop = EXACT_BITS - bits
+    for name, array in arrays.items():
+        if drop and name.endswith("_data"):
+            half = np.uint32(1 << (drop - 1))
+            raw = array.view(np.uint32) + half
+            arrays[name] = (raw >> np.uint32(drop) << np.uint32(drop)).view(np.float32)
+    np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
+
+
+def from_folder(folder: Path) -> dict[str, bytes]:
+    """Return the files of a folder as members."""
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def to_folder(members: Mapping[str, bytes], folder: Path) -> None:
+    """Write members as files of a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in members.items():
+        (folder / name).write_bytes(content)
+
+
+@contextmanager
+def unpacked(members: Mapping[str, bytes]) -> Iterator[Path]:
+    """Give a temporary folder with the members as files, for readers that want paths."""
+    folder = Path(tempfile.mkdtemp(prefix="slbench-sample-"))
+    try:
+        to_folder(members, folder)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)

@@ -1,0 +1,211 @@
+"""From a specification to the scene of one sample: draws, and what they must meet.
+
+A draw depends on the specification, the seed, the sample's index and the number of the draw
+alone.  What is drawn is put into the scene's tables, so that the scene file of a sample is
+complete and loads like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slbench.datasets.distributions import Distribution, column, find, put, stream
+from slbench.datasets.sample import RIG, SCENE
+from slbench.datasets.shards import key
+from slbench.datasets.spec import Specification
+from slbench.errors import InputError
+from slbench.io import plain, write_toml
+from slbench.rig.opencv import write_rig
+from slbench.scene import Scene
+from slbench.scenefile import load_scene
+
+#: Width and Monte Carlo samples of a preview, where the scene does not say.
+_PREVIEW_WIDTH, _PREVIEW_SAMPLES = 320, 16
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What was drawn once for a sample.
+
+    Parameters
+    ----------
+    kind : str or None
+        Name of the drawn object; None where the specification has none to choose from.
+    values : dict
+        By column of the index.
+    table : dict
+        Content of the scene file.
+    """
+
+    kind: str | None
+    values: dict[str, Any]
+    table: dict[str, Any]
+
+
+def sample_seed(seed: int, sample: int) -> int:
+    """Return the seed of a sample's light and of its first capture."""
+    return int(np.random.SeedSequence([seed, sample]).generate_state(1)[0])
+
+
+def capture_seed(of_sample: int, pattern_set: int, repeat: int) -> int:
+    """Return the seed of a capture; the first one has the sample's own."""
+    if (pattern_set, repeat) == (0, 0):
+        return of_sample
+    return int(np.random.SeedSequence([of_sample, pattern_set, repeat]).generate_state(1)[0])
+
+
+def draw(
+    specification: Specification,
+    seed: int,
+    sample: int,
+    number: int = 0,
+    *,
+    preview: bool = False,
+    kind: int | None = None,
+) -> Draw:
+    """Draw the parameters of a sample.
+
+    Parameters
+    ----------
+    specification : Specification
+        Resolved.
+    seed, sample : int
+    number : int
+        Which draw: 0, and further ones where constraints were not met.
+    preview : bool
+        The coarse camera of a preview.
+    kind : int, optional
+        Index of the object, instead of a drawn one.
+
+    Returns
+    -------
+    Draw
+    """
+    table: dict[str, Any] = plain(specification.scene)
+    name = None
+    if specification.objects:
+        names = tuple(range(len(specification.objects)))
+        if kind is None:
+            choice = Distribution(choice=names, weights=specification.weights())
+            # Once a sample: what is rejected must not change how often a kind comes.  No column has
+            # this stream, its name is no word.
+            kind = int(choice.draw(stream(seed, sample, 0, "[objects]")))
+        chosen = plain(specification.objects[kind])
+        name = chosen.pop("name")
+        del chosen["weight"]
+        table["objects"] = [chosen, *table.get("objects", [])]
+    values: dict[str, Any] = {}
+    for place, distribution in list(find(table, specification.name)):
+        label = column(place, distribution)
+        values[label] = distribution.draw(stream(seed, sample, number, label))
+        put(table, place, values[label])
+    table["name"] = f"{specification.name}-{key(sample)}"
+    settings = table.pop("preview", {})
+    if preview:
+        _coarsen(table, settings)
+    return Draw(name, values, table)
+
+
+def _coarsen(table: dict[str, Any], settings: Mapping[str, Any]) -> None:
+    """Give the scene fewer, larger pixels and fewer samples, as ``Scene.coarser`` does."""
+    camera = table.get("camera")
+    samples = settings.get("samples", _PREVIEW_SAMPLES)
+    table["render"] = {**table.get("render", {}), "samples": samples}
+    if camera is None:  # the camera stands in the rig's file
+        return
+    width, height = camera["resolution_px"]
+    divisor = settings.get("divisor") or max(1, -(-width // _PREVIEW_WIDTH))
+    pitch = camera["pitch_um"]
+    pitches = pitch if isinstance(pitch, list) else [pitch, pitch]
+    camera["resolution_px"] = [max(width // divisor, 1), max(height // divisor, 1)]
+    camera["pitch_um"] = [p * divisor for p in pitches]
+    u, v = camera.get("principal_point_px", [(width - 1) / 2, (height - 1) / 2])
+    camera["principal_point_px"] = [(u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5]
+
+
+def place_scene(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool) -> Scene:
+    """Write a draw's scene to a folder, with the files that it names, and load it.
+
+    Parameters
+    ----------
+    drawn : Draw
+    files : mapping of str to bytes
+        Of the specification.
+    folder : Path
+        Empty; gets ``scene.toml``, ``rig.yaml`` and the meshes that the scene names.
+    preview : bool
+        As for :func:`draw`; a camera that stands in a file is made coarser here.
+
+    Raises
+    ------
+    InputError
+        If what was drawn makes no scene.
+    """
+    wanted = {table["mesh"] for table in drawn.table["objects"] if "mesh" in table}
+    from_file = "file" in drawn.table["rig"]
+    for name in (*sorted(wanted), *([RIG] if from_file else [])):
+        (folder / name).write_bytes(files[name])
+    write_toml(folder / SCENE, drawn.table)
+    scene = load_scene(folder / SCENE)
+    if from_file and preview:
+        width = scene.rig.camera.width
+        scene = scene.coarser(max(1, -(-width // _PREVIEW_WIDTH)), scene.samples)
+    write_rig(folder / RIG, scene.rig)
+    return scene
+
+
+def outside_volume(scene: Scene) -> bool:
+    """Tell whether the first object sticks out of the measurement volume."""
+    item = scene.objects[0]
+    placed = item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
+    half = 0.5 * np.array(scene.rig.volume_mm)
+    return bool(np.any(np.abs(placed.bounds) > half))
+
+
+def check(
+    specification: Specification, files: Mapping[str, bytes], seed: int, preview: bool, folder: Path
+) -> None:
+    """Check that every object can be drawn and its scene built, without rendering.
+
+    Parameters
+    ----------
+    specification, files
+        As :func:`slbench.datasets.spec.load` gives them.
+    seed : int
+    preview : bool
+    folder : Path
+        To work in; subfolders are made.
+
+    Raises
+    ------
+    InputError
+        If no draw makes a scene that a sample can have, saying what is wrong with the last.
+    """
+    limits = specification.constraints
+    kinds: tuple[int | None, ...] = tuple(range(len(specification.objects))) or (None,)
+    for kind in kinds:
+        problem: object = None
+        for number in range(limits.max_draws):
+            drawn = draw(specification, seed, 0, number, preview=preview, kind=kind)
+            place = folder / f"{kind}-{number}"
+            place.mkdir()
+            try:
+                scene = place_scene(drawn, files, place, preview)
+                for patterns in specification.patterns:
+                    scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
+            except InputError as error:
+                problem = error
+                continue
+            if limits.inside_volume and outside_volume(scene):
+                problem = "an object outside the measurement volume"
+                continue
+            break
+        else:
+            what = "scene" if kind is None else f"objects[{kind}] ({drawn.kind})"
+            expected = f"a draw of {limits.max_draws} that makes a sample"
+            raise InputError(f"{specification.name}: {what}", expected, f"none: {problem}")

@@ -1,0 +1,136 @@
+"""Chapter 7 at preview size: what holds, what does not, and that verdicts tell them apart."""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes_small import small, transport_of, truth_of
+
+from slbench.bench import ch7, ch7_findings, thesis
+from slbench.bench.budget import Budget, Row, heights_rms_mm, object_truth
+from slbench.bench.compare import compare
+from slbench.bench.outcome import write_outcome
+from slbench.bench.thesis import FINEST, SETS
+from slbench.bench.timing import Timing, time_sets
+
+REPEATS = 8
+
+
+@functools.cache
+def found(name="ch7-step-block"):
+    return compare(
+        small(name),
+        SETS,
+        repeats=REPEATS,
+        transport=transport_of(name),
+        truth=object_truth(truth_of(name)),
+    )
+
+
+def gamma_row(heights):
+    nothing = (0.0, 0.0, 0.0)
+    row = Row("projector gamma 1.1", "steady", nothing, nothing, nothing, heights, nothing)
+    return Budget((row,))
+
+
+def with_std(comparison, factors):
+    """Return a comparison whose deviations are multiplied."""
+    sets = tuple(
+        replace(
+            r,
+            std_median_mm=r.std_median_mm * f,
+            std_z_median_mm=r.std_z_median_mm * f,
+            std_ci95_mm=tuple(f * x for x in r.std_ci95_mm),
+            std_z_ci95_mm=tuple(f * x for x in r.std_z_ci95_mm),
+        )
+        for r, f in zip(comparison.sets, factors, strict=True)
+    )
+    return replace(comparison, sets=sets)
+
+
+class TestFindingsHold:
+    @pytest.mark.parametrize("name", ["ch7-step-block", "ch7-gear"])
+    def test_more_fringes_repeat_better(self, name):
+        order, four, sixteen = ch7_findings.std_findings(name, found(name))
+        # Medians are 9 and 2.5 times apart, their intervals 5 % wide: with eight repeats no seed
+        # would bring them together.
+        assert order.verdict == "reproduced"
+        # The simulated detector's noise goes as 1/n: the thesis's factors of 4 and 1.4 are not
+        # met, by more than 1.25, and this is said.
+        assert four.verdict == sixteen.verdict == "in part"
+        assert 7.0 < four.ours < 12.5 * 1.05
+        assert 2.1 < sixteen.ours < 3.125 * 1.05
+        assert "does not depend on n" in four.why
+
+    def test_heights_are_closer(self):
+        finding = ch7_findings.heights_finding(found(), gamma_row((0.008, 0.15, 0.009)), 0)
+        # 3.6 um against 10 to 16 um, of which 3 um are noise: one seed in some thousands
+        # would have the estimate the other way round, and a few per cent an interval to 1.
+        assert finding.ours < 1.0
+        assert heights_rms_mm(found()[thesis.OURS]) < 0.01
+        assert "150 µm" in finding.why
+
+    def test_heights_are_those_of_twice_the_steps(self):
+        # 1.3 um apart, the thesis's 24: certain.
+        assert ch7_findings.same_heights_finding(found()).verdict == "reproduced"
+
+
+class TestVerdictsAreHonest:
+    def test_overlapping_intervals_are_no_proof(self):
+        block = found()
+        level = [block.sets[0].std_z_median_mm / r.std_z_median_mm for r in block.sets]
+        order = ch7_findings.std_findings("ch7-step-block", with_std(block, level))[0]
+        assert order.verdict == "in part"  # still the first of the ranking, which was not touched
+
+    def test_more_different_heights_are_not_the_same(self):
+        block = found()
+        moved = [s._replace(measured_mm=s.measured_mm + 0.05) for s in block.sets[0].steps]
+        other = replace(block, sets=(replace(block.sets[0], steps=tuple(moved)), *block.sets[1:]))
+        assert ch7_findings.same_heights_finding(other).verdict == "not reproduced"
+        worse = ch7_findings.heights_finding(other, gamma_row((0.0, 0.0, 0.0)), 0)
+        assert worse.verdict == "not reproduced"
+
+    @pytest.mark.parametrize(
+        ("seconds", "grows", "doubles"),
+        [
+            ((1.0, 2.0, 2.0, 3.0, 4.0), "reproduced", "reproduced"),
+            ((1.0, 1.2, 1.2, 1.3, 1.4), "reproduced", "in part"),
+            ((1.0, 5.0, 1.0, 1.0, 2.0), "in part", "reproduced"),
+            ((4.0, 2.0, 2.0, 1.5, 1.0), "not reproduced", "not reproduced"),
+        ],
+    )
+    def test_times(self, seconds, grows, doubles):
+        sets = ("1,2", "1,2,4", thesis.OURS, "1,2,4,8", thesis.LONG)
+        turns = 1.0 + 0.01 * np.random.default_rng(0).random((5, 9))
+        times = np.array(seconds)[:, None] * turns
+        results = ch7_findings.time_findings(Timing(sets, (1, 2, 2, 3, 4), times, times), 0)
+        assert [f.verdict for f in results] == [grows, doubles]
+
+
+def test_times_are_taken():
+    scene = small("ch7-step-block")
+    timing = time_sets(scene, transport_of("ch7-step-block"), ("1,2", thesis.OURS), turns=3, seed=0)
+    assert timing.steps == (1, 2)
+    assert np.all(timing.total_s >= timing.decode_s)
+    assert timing.total_s.sum() > 0.0
+
+
+def test_the_thesis_factors():
+    # "4x and 1.4x", by object.
+    theirs = {name: (s[1] / s[0], s[2] / s[0]) for name, s in thesis.STD_UM.items()}
+    assert theirs["ch7-step-block"] == pytest.approx((4.17, 1.37), abs=0.006)
+    assert theirs["ch7-propeller"] == pytest.approx((3.70, 1.21), abs=0.006)
+    assert theirs["ch7-gear"] == pytest.approx((3.67, 1.26), abs=0.006)
+    assert theirs["ch7-engine-block"] == pytest.approx((3.50, 1.23), abs=0.006)
+    assert [int(text.split(",")[-1]) for text in SETS] == list(FINEST)
+
+
+@pytest.mark.slow
+def test_a_whole_preview(tmp_path):
+    outcome = ch7.run_ch7(preview=True, seed=0)
+    verdicts = {f.name: f.verdict for f in outcome.findings}
+    assert verdicts["ch7-order-step-block"] == verdicts["ch7-order-gear"] == "reproduced"
+    write_outcome(outcome, tmp_path / "ch7")
+    assert "two-term law" in (tmp_path / "ch7" / "ch7.md").read_text()
+    assert all(len(p.png) < 250_000 for p in outcome.pictures.values())

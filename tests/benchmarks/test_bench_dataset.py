@@ -1,0 +1,125 @@
+"""How fast new patterns are put on stored light: against fresh scans, never against the clock.
+
+What is printed is for people: captures a second of 12 frames of 640 x 480 with noise, from
+light in memory and from the shard (read, checked, unpacked, exposed, two samples ahead).
+"""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tomli_w
+
+from slbench import datasets
+from slbench.capture import capture
+from slbench.datasets import index, shards
+from slbench.datasets.manifest import Manifest
+from slbench.datasets.sample import RIG, SCENE, TRANSPORT, TRUTH, from_folder, write_transport
+from slbench.datasets.storage import Storage
+from slbench.render.groundtruth import ground_truth
+from slbench.render.trace import trace
+from slbench.rig.opencv import write_rig
+from slbench.scenefile import load_scene
+
+PATTERNS = "1,8,64@4"  # 12 frames
+COPIES = 8
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A data set of the shipped step block at 640 x 480, several times; its scene and light."""
+    scene = load_scene("step-block").with_patterns(PATTERNS)
+    light = trace(scene, seed=0)
+    folder = tmp_path_factory.mktemp("sample")
+    (folder / SCENE).write_text(tomli_w.dumps(scene.specification))
+    write_rig(folder / RIG, scene.rig)
+    write_transport(folder / TRANSPORT, light)
+    ground_truth(scene).save(folder / TRUTH)
+    runs = [shards.pack(k, from_folder(folder)) for k in range(COPIES)]
+    storage = Storage(str(tmp_path_factory.mktemp("data")))
+    fields = dict.fromkeys(("name", "description", "licence"), "bench")
+    tables = {key: {} for key in ("captures", "environment", "specification", "files")}
+    types = index.columns({}, [])
+    manifest = Manifest(
+        **fields,
+        **tables,
+        seed=0,
+        count=COPIES,
+        preview=False,
+        samples_per_shard=COPIES,
+        columns=types,
+        drawn=(),
+    )
+    manifest.save(storage)
+    storage.write(shards.shard_name(0), b"".join(runs) + shards.END)
+    rows = [
+        {
+            "sample": k,
+            "key": shards.key(k),
+            "status": index.OK,
+            "shard": shards.shard_name(0),
+            "offset": sum(map(len, runs[:k])),
+            "size": len(run),
+            "sha256": shards.digest(run),
+            "seed": 0,
+        }
+        for k, run in enumerate(runs)
+    ]
+    storage.write(index.INDEX, index.encode(rows, types))
+    return datasets.open(storage.url), scene, light
+
+
+def best_of(function, repeats=5):
+    times = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        function()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def loaded(sample):
+    """Read, check and unpack what a capture needs."""
+    return sample.transport, sample
+
+
+def test_capture_time(benchmark, made):
+    sample = made[0][0]
+    wanted = capture(made[1], made[2], seed=3).frames
+    np.testing.assert_array_equal(sample.capture(PATTERNS, seed=3).frames, wanted)
+    benchmark(sample.capture, PATTERNS, seed=3)
+
+
+@pytest.mark.slow
+def test_captures_a_second(made):
+    data, scene, _ = made
+    sample = data[0]
+    sample.capture(PATTERNS)  # compiles and loads
+    memory = best_of(lambda: sample.capture(PATTERNS, seed=1))
+    expected = best_of(lambda: sample.capture(PATTERNS, noise=False))
+
+    def stream():
+        for _, item in data.ahead(loaded, 2):
+            item.capture(PATTERNS, seed=1)
+
+    shard = best_of(stream, 3) / len(data)
+    unchecked = replace(data, verify=False)
+    reading = best_of(lambda: [loaded(item) for item in data]) / len(data)
+    unread = best_of(lambda: [loaded(item) for item in unchecked]) / len(data)
+
+    def fresh():
+        capture(scene, trace(scene, seed=0), seed=1)
+
+    scans = best_of(fresh, 2)
+    size = data[0].row["size"]
+    print(
+        f"\n12 frames of 640 x 480: {1 / memory:.1f} captures/s from light in memory "
+        f"({1 / expected:.1f} without noise), {1 / shard:.1f} from the shard; reading "
+        f"{1e3 * reading:.0f} ms a sample of {size / 1e6:.1f} MB ({1e3 * unread:.0f} unchecked); "
+        f"tracing and capturing afresh takes {1e3 * scans:.0f} ms, {scans / shard:.1f} as long"
+    )
+    # Half a second of tracing is saved; reading costs a part of what is left.
+    assert scans / memory > 3.0
+    assert scans / shard > 1.5
+    assert memory < shard * 1.5

@@ -1,0 +1,460 @@
+"""Other layouts of a data set, read back by independent means."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import datasets_small as small
+import h5py
+import numpy as np
+import pytest
+import trimesh
+from scenes_small import check_refused, run_cli
+
+from slbench import datasets
+from slbench.capture import Capture
+from slbench.datasets.export import export
+from slbench.datasets.export_bop import box, diameter
+from slbench.datasets.export_frames import depth_scale, scaled_depth
+from slbench.datasets.raster import depth_of_mesh
+from slbench.datasets.recipe import Recipe
+from slbench.errors import InputError
+from slbench.rig.opencv import read_rig
+from slbench.truth import GroundTruth
+
+RECIPE = Recipe("1,10", seed=3)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return small.write_dataset(tmp_path_factory.mktemp("data") / "small")
+
+
+@pytest.fixture(scope="module")
+def data(folder):
+    return datasets.open(folder)
+
+
+def read(path):
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return image
+
+
+@pytest.fixture(scope="module")
+def frames_out(data, tmp_path_factory):
+    target = tmp_path_factory.mktemp("frames") / "out"
+    assert export(data[:3], target, "frames", RECIPE) == 3
+    return target
+
+
+@pytest.fixture(scope="module")
+def hdf5_path(data, tmp_path_factory):
+    target = tmp_path_factory.mktemp("hdf5") / "out.h5"
+    export(data, target, "hdf5", RECIPE)
+    return target
+
+
+@pytest.fixture(scope="module")
+def bop_out(data, tmp_path_factory):
+    target = tmp_path_factory.mktemp("bop") / "out"
+    export(data[:3], target, "bop", RECIPE)
+    return target
+
+
+@pytest.fixture(scope="module")
+def bop_scene(bop_out):
+    place = bop_out / "train" / "000000"
+    files = {
+        name: json.loads((place / f"scene_{name}.json").read_text())
+        for name in ("camera", "gt", "gt_info", "projector")
+    }
+    return place, files
+
+
+class TestFrames:
+    def test_one_folder_a_sample(self, frames_out):
+        assert sorted(p.name for p in frames_out.iterdir() if p.is_dir()) == [
+            "000000",
+            "000001",
+            "000002",
+        ]
+
+    def test_captures_are_those_of_the_recipe(self, frames_out, data):
+        for item in data[:3]:
+            shots = Capture.load(frames_out / item.row["key"])
+            wanted = item.capture("1,10", seed=RECIPE.seed_of(item))
+            np.testing.assert_array_equal(shots.frames, wanted.frames)
+            assert shots.sequence == wanted.sequence
+            assert shots.rig is not None
+
+    def test_depth_with_its_scale(self, frames_out, data):
+        for item in data[:3]:
+            place = frames_out / item.row["key"]
+            scale = json.loads((place / "sample.json").read_text())["depth_scale_mm"]
+            picture = read(place / "depth.png")
+            assert picture.dtype == np.uint16
+            hit = np.isfinite(item.truth.depth)
+            np.testing.assert_array_equal(picture > 0, hit)
+            # Rounding, by half a step at most.
+            error = picture[hit] * scale - item.truth.depth[hit]
+            assert np.abs(error).max() <= scale / 2 + 1e-9
+            np.testing.assert_array_equal(read(place / "mask.png") > 0, item.truth.lit)
+
+    def test_exact_truth_beside_it(self, frames_out, data):
+        again = GroundTruth.load(frames_out / "000001" / "truth.exr")
+        np.testing.assert_array_equal(again.point, data[1].truth.point)
+
+    def test_index(self, frames_out, data):
+        with (frames_out / "index.csv").open() as stream:
+            rows = list(csv.DictReader(stream))
+        assert [int(row["sample"]) for row in rows] == [0, 1, 2]
+        assert [float(row["height_mm"]) for row in rows] == [small.height(n) for n in range(3)]
+
+    def test_stored_frames(self, data, tmp_path):
+        export(data[:1], tmp_path / "x", "frames")
+        shots = Capture.load(tmp_path / "x" / "000000")
+        np.testing.assert_array_equal(shots.frames, data[0].frames)
+
+
+@pytest.mark.parametrize("largest", [0.9, 30.0, 65.5, 655.35, 655.36, 812.0, 4000.0])
+def test_the_scale_of_depth_is_the_least_that_fits(largest):
+    depth = np.array([[largest, largest / 3, np.nan]])
+    scale = depth_scale(depth)
+    picture = scaled_depth(depth, scale)
+    assert picture[0, 2] == 0
+    assert abs(picture[0, 0] * scale - largest) <= scale / 2 + 1e-12
+    # Less than a factor of 2.5 is given away, but for the floor of a micrometre.
+    assert picture[0, 0] > 65535 / 2.5 - 1 or scale == 1e-3
+
+
+class TestHdf5:
+    def test_arrays(self, hdf5_path, data):
+        n = len(data)
+        with h5py.File(hdf5_path) as file:
+            assert file["frames"].shape == (n, 6, 48, 64)
+            assert file["frames"].dtype == np.uint8
+            assert file["frames"].chunks == (1, 6, 48, 64)
+            assert file["frames"].compression == "gzip"
+            for k, item in enumerate(data):
+                wanted = item.capture("1,10", seed=RECIPE.seed_of(item)).frames
+                np.testing.assert_array_equal(file["frames"][k], wanted)
+                np.testing.assert_array_equal(file["mask"][k], item.truth.lit)
+                np.testing.assert_array_equal(file["depth"][k], item.truth.depth.astype(np.float32))
+            assert file["sample"][:].tolist() == [item.number for item in data]
+            assert file["parameters/height_mm"][:].tolist() == data.column("height_mm").tolist()
+            assert file["parameters/kind"].asstr()[0] == "step_block"
+
+    def test_units(self, hdf5_path):
+        with h5py.File(hdf5_path) as file:
+            assert file["depth"].attrs["units"] == "mm"
+            assert file["t"].attrs["units"] == "mm"
+            assert file["panel"].attrs["units"] == "px"
+            assert json.loads(file.attrs["patterns"])["panel"] == [640, 480]
+
+    def test_calibration_and_maps_agree(self, hdf5_path):
+        # Depth and K of the camera put a point where R, t and K of the projector see its panel
+        # coordinate: by OpenCV alone.
+        with h5py.File(hdf5_path) as file:
+            k = 2
+            depth, mask = file["depth"][k].astype(float), file["mask"][k]
+            v, u = np.nonzero(mask)
+            pixels = np.stack((u, v), axis=-1).astype(float)[:, None]
+            rays = cv2.undistortPoints(pixels, file["K_camera"][k], file["dist_camera"][k])[:, 0]
+            points = np.column_stack((rays, np.ones(len(rays)))) * depth[mask][:, None]
+            turn, _ = cv2.Rodrigues(file["R"][k])
+            seen, _ = cv2.projectPoints(
+                points, turn, file["t"][k], file["K_projector"][k], file["dist_projector"][k]
+            )
+            wanted = file["panel"][k][:, mask].T
+        # Single precision of depth: 2^-24 of 500 mm is 3e-5 mm, less than 1e-4 px here.
+        np.testing.assert_allclose(seen[:, 0], wanted, atol=1e-3)
+
+    def test_samples_of_other_sizes_are_refused(self, data, tmp_path):
+        def growing(item, rng):
+            return "1" if item.number == 0 else "1,10"
+
+        with pytest.raises(InputError, match="as the first sample's"):
+            export(data, tmp_path / "x.h5", "hdf5", Recipe(growing))
+        assert list(tmp_path.iterdir()) == []
+
+
+def nearest(origin, directions, triangles):
+    """Return the distance along each ray (n, 3) to the nearest triangle (m, 3, 3), or inf.
+
+    Moller and Trumbore, "Fast, minimum storage ray/triangle intersection" (1997), for all pairs.
+    """
+    a = triangles[:, 0]
+    first, second = triangles[:, 1] - a, triangles[:, 2] - a
+    best = np.full(len(directions), np.inf)
+    for k, ray in enumerate(directions):
+        p = np.cross(ray, second)
+        det = np.einsum("ij,ij->i", first, p)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = origin - a
+            u = np.einsum("ij,ij->i", s, p) / det
+            q = np.cross(s, first)
+            v = q @ ray / det
+            t = np.einsum("ij,ij->i", second, q) / det
+            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0)
+        if hit.any():
+            best[k] = t[hit].min()
+    return best
+
+
+class TestBop:
+    def test_layout(self, bop_out, bop_scene):
+        place, files = bop_scene
+        names = {str(p.relative_to(place)) for p in place.rglob("*") if p.is_file()}
+        assert {"gray/000002.png", "depth/000002.png", "mask/000001_000001.png"} <= names
+        assert {"mask_visib/000001_000000.png", "frames/000000_005.png"} <= names
+        for content in files.values():
+            assert list(content) == ["0", "1", "2"]
+        assert (bop_out / "camera.json").is_file()
+        # Three blocks of different height, and the ball of one sample.
+        models = sorted(p.name for p in (bop_out / "models").glob("*.ply"))
+        assert models == [f"obj_{n:06d}.ply" for n in range(1, 5)]
+
+    def test_models_project_onto_masks_and_depth(self, bop_out, bop_scene):
+        place, files = bop_scene
+        for image in ("0", "1"):
+            camera = files["camera"][image]
+            matrix = np.reshape(camera["cam_K"], (3, 3))
+            depth = read(place / f"depth/{int(image):06d}.png") * camera["depth_scale"]
+            v, u = np.indices(depth.shape)
+            rays = np.stack((u, v, np.ones_like(u)), axis=-1).reshape(-1, 3)
+            rays = rays @ np.linalg.inv(matrix).T
+            alone = []
+            for pose in files["gt"][image]:
+                model = trimesh.load(
+                    bop_out / f"models/obj_{pose['obj_id']:06d}.ply", process=False
+                )
+                turn = np.reshape(pose["cam_R_m2c"], (3, 3))
+                points = model.vertices @ turn.T + pose["cam_t_m2c"]
+                # The rays' z is 1, so distance along them is depth.
+                alone.append(nearest(np.zeros(3), rays, points[model.faces]))
+            alone = np.reshape(alone, (-1, *depth.shape))
+            visible = np.zeros(depth.shape, bool)
+            for number, own in enumerate(alone):
+                name = f"{int(image):06d}_{number:06d}.png"
+                seen = np.isfinite(own) & (own == alone.min(axis=0))
+                mask, visib = read(place / "mask" / name) > 0, read(place / "mask_visib" / name) > 0
+                # Models are in single precision: a pixel whose ray grazes an edge may differ.
+                assert np.count_nonzero(mask != np.isfinite(own)) <= 2
+                assert np.count_nonzero(visib != seen) <= 2
+                both = visib & seen
+                assert both.sum() > 20
+                error = np.abs(depth[both] - own[both])
+                # Half a step of the 16-bit picture; grazed edges as above.
+                limit = camera["depth_scale"] / 2 + 1e-3
+                assert np.count_nonzero(error > limit) <= 2
+                visible |= visib
+            np.testing.assert_array_equal(depth > 0, visible)
+
+    def test_counts_and_boxes(self, bop_scene):
+        place, files = bop_scene
+        for image, entries in files["gt_info"].items():
+            for number, entry in enumerate(entries):
+                name = f"{int(image):06d}_{number:06d}.png"
+                mask, visib = read(place / "mask" / name) > 0, read(place / "mask_visib" / name) > 0
+                assert entry["px_count_visib"] == visib.sum()
+                assert entry["px_count_all"] >= mask.sum()
+                assert entry["visib_fract"] == visib.sum() / entry["px_count_all"]
+                rows, columns = np.nonzero(visib)
+                assert entry["bbox_visib"] == [
+                    columns.min(),
+                    rows.min(),
+                    columns.max() - columns.min(),
+                    rows.max() - rows.min(),
+                ]
+                assert entry["px_count_valid"] == mask.sum()
+        block, ball = files["gt_info"]["1"]
+        assert block["visib_fract"] < 1.0  # the ball is before it
+        assert ball["visib_fract"] == 1.0
+
+    def test_world_and_model_poses_agree(self, bop_scene, data):
+        _, files = bop_scene
+        for image, poses in files["gt"].items():
+            camera = files["camera"][image]
+            turn, shift = np.reshape(camera["cam_R_w2c"], (3, 3)), camera["cam_t_w2c"]
+            for placed, pose in zip(data[int(image)].scene.objects, poses, strict=True):
+                middle = placed.artefact.mesh.bounds.mean(axis=0)
+                wanted = turn @ placed.pose.to_world(middle) + shift
+                np.testing.assert_allclose(pose["cam_t_m2c"], wanted, atol=1e-9)
+
+    def test_models_info(self, bop_out):
+        information = json.loads((bop_out / "models/models_info.json").read_text())
+        for number, entry in information.items():
+            model = trimesh.load(bop_out / f"models/obj_{int(number):06d}.ply", process=False)
+            low, high = model.bounds
+            # Single precision of the PLY.
+            np.testing.assert_allclose([entry[f"min_{a}"] for a in "xyz"], low, atol=1e-5)
+            np.testing.assert_allclose([entry[f"size_{a}"] for a in "xyz"], high - low, atol=1e-5)
+            np.testing.assert_allclose(low + high, 0, atol=1e-5)
+            points = model.vertices[:, None] - model.vertices[::1]
+            assert entry["diameter"] == pytest.approx(np.linalg.norm(points, axis=-1).max())
+
+    def test_projector_extension(self, bop_scene, data):
+        place, files = bop_scene
+        for image, entry in files["projector"].items():
+            rig = data[int(image)].rig
+            camera = files["camera"][image]
+            depth = read(place / f"depth/{int(image):06d}.png") * camera["depth_scale"]
+            truth = data[int(image)].truth
+            v, u = np.nonzero(truth.lit)
+            pixels = np.stack((u, v, np.ones_like(u)), axis=-1)
+            points = pixels @ np.linalg.inv(np.reshape(camera["cam_K"], (3, 3))).T
+            points = points * depth[v, u][:, None]
+            seen, _ = cv2.projectPoints(
+                points,
+                np.reshape(entry["R_c2p"], (3, 3)),
+                np.array(entry["t_c2p"]),
+                np.reshape(entry["proj_K"], (3, 3)),
+                np.array(entry["proj_dist"]),
+            )
+            # Half a step of depth (10 um at 800 mm), seen under the triangulation angle.
+            np.testing.assert_allclose(seen[:, 0], truth.panel[v, u], atol=0.05)
+            assert entry["proj_size"] == [rig.projector.width, rig.projector.height]
+            item = data[int(image)]
+            frames = item.capture("1,10", seed=RECIPE.seed_of(item)).frames
+            for frame, file in zip(frames, entry["frames"], strict=True):
+                np.testing.assert_array_equal(read(place / file), frame)
+
+    def test_other_lenses_are_refused(self, data, tmp_path):
+        item = data[0]
+        rig = item.rig
+        bent = replace(rig, camera=replace(rig.camera, distortion=(0.1, 0, 0, 0, 0)))
+        item.__dict__["rig"] = bent
+
+        class One(datasets.Dataset):
+            def __iter__(self):
+                return iter([item])
+
+            def __getitem__(self, key):
+                return self if isinstance(key, slice) else item
+
+        one = One(data.manifest, data.storage, data.rows[:1])
+        with pytest.raises(InputError, match="distortion"):
+            export(one, tmp_path / "x", "bop", RECIPE)
+        assert list(tmp_path.iterdir()) == []
+
+
+class TestGeometry:
+    def test_depth_of_a_tilted_square(self):
+        # A plane z = 100 + x / 2 before a camera of 100 px focal length.
+        points = np.array([[-20, -20, 90], [20, -20, 110], [20, 20, 110], [-20, 20, 90.0]])
+        matrix = np.array([[100.0, 0, 31.5], [0, 100.0, 23.5], [0, 0, 1]])
+        for faces in ([[0, 1, 2], [0, 2, 3]], [[2, 1, 0], [3, 2, 0]]):
+            depth = depth_of_mesh(points, faces, matrix, (64, 48))
+            v, u = np.nonzero(depth)
+            wanted = 100 / (1 - 0.5 * (u - 31.5) / 100)
+            np.testing.assert_allclose(depth[v, u], wanted, rtol=1e-12)
+            # No seam, and the edges where geometry puts them: x = -20 at z = 90.
+            assert u.min() == np.ceil(31.5 - 2000 / 90)
+            assert u.max() == np.floor(31.5 + 2000 / 110)
+            assert len(u) == np.count_nonzero(depth[:, u.min() : u.max() + 1])
+
+    def test_the_nearer_surface_counts(self):
+        near = np.array([[-5, -5, 50], [5, -5, 50], [0, 5, 50.0]])
+        far = near * [4, 4, 2]
+        matrix = np.array([[50.0, 0, 16], [0, 50.0, 16], [0, 0, 1]])
+        points = np.concatenate((far, near))
+        depth = depth_of_mesh(points, [[0, 1, 2], [3, 4, 5]], matrix, (33, 33))
+        assert set(np.unique(depth).round(9)) == {0.0, 50.0, 100.0}
+
+    def test_a_mesh_behind_the_camera(self):
+        with pytest.raises(InputError, match="in front of the camera"):
+            depth_of_mesh([[0, 0, -1], [1, 0, 1], [0, 1, 1.0]], [[0, 1, 2]], np.eye(3), (4, 4))
+
+    def test_diameter(self):
+        rng = np.random.default_rng(0)
+        for points in (
+            rng.normal(size=(400, 3)),
+            np.column_stack((rng.uniform(size=(300, 2)), np.zeros(300))),  # flat
+            np.array([[0, 0, 0], [3, 4, 0.0]]),
+        ):
+            wanted = np.linalg.norm(points[:, None] - points, axis=-1).max()
+            assert diameter(points) == pytest.approx(wanted, rel=1e-12)
+
+    def test_box(self):
+        mask = np.zeros((10, 12), bool)
+        mask[3:6, 4:9] = True
+        assert box(mask) == [4, 3, 4, 2]
+        assert box(mask, (5, 5)) == [-1, -2, 4, 2]
+        assert box(np.zeros((3, 3), bool)) == [-1, -1, -1, -1]
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("form", ["frames", "bop", "hdf5"])
+    def test_a_target_that_exists(self, data, tmp_path, form):
+        target = tmp_path / "taken.h5"
+        if form == "hdf5":
+            target.write_bytes(b"mine")
+        else:
+            target.mkdir()
+            (target / "mine").touch()
+        with pytest.raises(InputError, match="taken"):
+            export(data, target, form, RECIPE)
+        assert target.is_file() or [p.name for p in target.iterdir()] == ["mine"]
+
+    @pytest.mark.parametrize("form", ["frames", "bop", "hdf5"])
+    def test_a_damaged_sample_leaves_nothing(self, data, tmp_path, form):
+        rows = [dict(row) for row in data.rows[:2]]
+        rows[1]["sha256"] = "0" * 64
+        broken = replace(data, rows=tuple(rows))
+        with pytest.raises(InputError, match="sample 000001"):
+            export(broken, tmp_path / "x.h5", form, RECIPE)
+        assert list(tmp_path.iterdir()) == []
+
+    def test_nothing_selected(self, data, tmp_path):
+        with pytest.raises(InputError, match="at least one sample"):
+            export(data.where("height_mm > 99"), tmp_path / "x", "frames", RECIPE)
+
+    def test_no_stored_frames(self, tmp_path):
+        bare = datasets.open(small.write_dataset(tmp_path / "bare", frames=False))
+        with pytest.raises(InputError, match="capture"):
+            export(bare, tmp_path / "x", "frames")
+        assert not (tmp_path / "x").exists()
+
+    def test_recipes(self):
+        with pytest.raises(InputError, match="seed"):
+            Recipe("1", seed=-1)
+        with pytest.raises(InputError, match="detector"):
+            Recipe(None, detector=small.result_of(0).scene.detector)
+
+
+class TestCommand:
+    def test_a_selection_as_frames(self, folder, tmp_path):
+        out = tmp_path / "x"
+        where = "height_mm > 4.5 and kind == 'step_block'"
+        outcome = run_cli(
+            "dataset",
+            "export",
+            folder,
+            "--out",
+            out,
+            "--where",
+            where,
+            "--patterns",
+            "1,10",
+            "--json",
+        )
+        assert outcome.status == 0, outcome.err
+        assert json.loads(outcome.out)["samples"] == 2
+        assert read_rig(out / "000003" / "rig.yaml").camera.width == 64
+        assert (out / "provenance.json").is_file()
+
+    @pytest.mark.parametrize(
+        ("options", "word"),
+        [
+            (["--format", "zip"], "--format"),
+            (["--where", "heigth_mm > 1"], "heigth_mm"),
+            (["--patterns", "1,x"], "patterns"),
+            (["--format", "hdf5"], ".h5"),
+        ],
+    )
+    def test_bad_options_before_any_work(self, folder, tmp_path, options, word):
+        check_refused(run_cli("dataset", "export", folder, "--out", tmp_path / "x", *options), word)
+        assert list(Path(tmp_path).iterdir()) == []

@@ -1,0 +1,444 @@
+"""Making data sets: the same bytes however they are made; failures; damage is named."""
+
+import json
+import platform
+import shutil
+import tarfile
+
+import numpy as np
+import pytest
+from dataset_specs import hashes, rows_of, write_spec
+from scenes_small import small, transport_of, truth_of
+
+from slbench.capture import Capture, noise_free_coordinates
+from slbench.datasets import index, tasks
+from slbench.datasets.cluster import LostError, local_cluster
+from slbench.datasets.engine import make_dataset
+from slbench.datasets.make import environment, make_sample, row_of
+from slbench.datasets.manifest import Manifest
+from slbench.datasets.sample import EXACT_BITS, unpacked, write_transport
+from slbench.datasets.sampling import draw
+from slbench.datasets.shards import END, digest, key, pack, unpack
+from slbench.datasets.spec import load
+from slbench.datasets.storage import Storage
+from slbench.datasets.verify import information, verify_dataset
+from slbench.errors import InputError
+from slbench.scan import floor_rms_px, scan
+from slbench.scenefile import load_scene
+from slbench.transport import LightTransport
+
+COUNT, SEED = 5, 3
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    with local_cluster(0) as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    return load(write_spec(tmp_path_factory.mktemp("spec")))
+
+
+@pytest.fixture(scope="module")
+def made(tiny, cluster, tmp_path_factory):
+    """A data set of five samples in three shards."""
+    url = str(tmp_path_factory.mktemp("data") / "set")
+    result = make_dataset(*tiny, url, COUNT, cluster, seed=SEED)
+    assert result.failed == 0
+    assert result.made == COUNT
+    return url
+
+
+@pytest.fixture
+def copy(made, tmp_path):
+    shutil.copytree(made, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def members_of(url, row):
+    content = Storage(str(url)).read_range(row["shard"], row["offset"], row["size"])
+    return unpack(row["sample"], content, "sample")
+
+
+class TestShards:
+    def test_entries_follow_from_key_and_members_alone(self):
+        members = {"b.json": b"2" * 700, "a.toml": b"1"}
+        content = pack(7, members)
+        assert content == pack(7, dict(reversed(members.items())))
+        assert len(content) % 512 == 0
+        assert unpack(7, content, "here") == members
+
+    def test_any_tar_reader_reads_a_shard(self, made):
+        with tarfile.open(f"{made}/shards/000001.tar") as archive:
+            entries = archive.getmembers()
+        assert {entry.name.split(".")[0] for entry in entries} == {"000002", "000003"}
+        assert {(e.mtime, e.uid, e.gid, e.uname) for e in entries} == {(0, 0, 0, "")}
+
+    @pytest.mark.parametrize("name", ["plain", "a/b.c", "../x.y", ".hidden", "a..b"])
+    def test_names_that_would_not_come_back_are_refused(self, name):
+        with pytest.raises(InputError, match="member"):
+            pack(0, {name: b""})
+
+    def test_keys_outgrow_six_digits(self):
+        assert key(12) == "000012"
+        assert unpack(12345678, pack(12345678, {"a.b": b"x"}), "here") == {"a.b": b"x"}
+
+
+class TestSameBytes:
+    def test_a_sample_made_alone_is_the_one_in_the_shard(self, tiny, made):
+        # In another thread, in another order, without what the others left behind.
+        for sample in (4, 1):
+            members = make_sample(*tiny, SEED, sample)
+            assert digest(pack(sample, members)) == hashes(made)[sample]
+
+    def test_another_place_has_the_same_samples(self, tiny, made, cluster):
+        url = "memory://tiny-elsewhere"
+        make_dataset(*tiny, url, 3, cluster, seed=SEED)
+        assert hashes(url) == hashes(made)[:3]
+        assert verify_dataset(url) == ([], {**verify_dataset(url)[1], "samples": 3})
+
+    def test_nothing_in_a_sample_tells_time_machine_or_place(self, made):
+        # A host's name may be a word that stands anywhere.
+        words = {f'"{platform.node()}"', made, "/tmp", "time_utc", "seconds"}
+        for row in rows_of(made):
+            for name, content in members_of(made, row).items():
+                for word in words:
+                    assert word.encode() not in content, name
+
+    def test_the_index_follows_from_the_shards(self, made):
+        for row in rows_of(made):
+            own = row_of(row["sample"], members_of(made, row))
+            for name, value in own.items():
+                assert row[name] == (None if value != value else value)
+
+    def test_the_row_says_what_was_drawn(self, tiny, made):
+        for row in rows_of(made):
+            drawn = draw(tiny[0], SEED, row["sample"], row["draws"] - 1)
+            assert row["kind"] == drawn.kind
+            assert drawn.values.items() <= row.items()
+
+
+class TestFrames:
+    def test_stored_frames_are_those_of_a_fresh_scan(self, made):
+        row = rows_of(made)[0]
+        with unpacked(members_of(made, row)) as folder:
+            stored = Capture.load(folder / "p0r0.capture.toml")
+            scene = load_scene(folder / "scene.toml").with_patterns("1,10")
+            transport = LightTransport.load(folder / "transport.npz")
+            other = Capture.load(folder / "p0r1.capture.toml")
+        fresh = scan(scene, seed=row["seed"])
+        np.testing.assert_array_equal(stored.frames, fresh.capture.frames)
+        np.testing.assert_array_equal(
+            transport.marginals["u"].data, fresh.transport.marginals["u"].data
+        )
+        assert row["p0r0_rms_mm"] == fresh.score.rms_mm
+        # The repeat shows the same light with noise of its own.
+        assert 0 < np.mean(stored.frames != other.frames) < 1
+        assert abs(stored.frames.mean() - other.frames.mean()) < 0.1
+
+    def test_rounded_weights_stay_below_the_renderers_floor(self, tmp_path):
+        # Weights of 10 bits are off by 2**-11 at most, and so is every picture; the panel
+        # coordinate moves by less than a tenth of what it is off by anyway.
+        scene, exact, truth = (
+            small("step-block"),
+            transport_of("step-block"),
+            truth_of("step-block"),
+        )
+        sizes = {}
+        for bits in (EXACT_BITS, 10):
+            write_transport(tmp_path / f"{bits}.npz", exact, bits)
+            sizes[bits] = (tmp_path / f"{bits}.npz").stat().st_size
+        rounded = LightTransport.load(tmp_path / "10.npz")
+        fringes = scene.sequence.profiles("u")[1]
+        # Beside rounding, sums of float32.
+        np.testing.assert_allclose(
+            rounded.relight(fringes), exact.relight(fringes), rtol=2.0**-11 + 1e-5
+        )
+        panel = [noise_free_coordinates(scene, t)["u"] for t in (exact, rounded)]
+        change = np.sqrt(np.mean((panel[1] - panel[0])[truth.smooth()] ** 2))
+        assert 0.0 < change < 0.1 * floor_rms_px(scene, exact, truth)
+        assert sizes[10] < 0.75 * sizes[EXACT_BITS]
+
+    def test_all_bits_are_the_traced_weights(self, tmp_path):
+        exact = transport_of("step-block")
+        write_transport(tmp_path / "exact.npz", exact)
+        stored = LightTransport.load(tmp_path / "exact.npz").marginals["u"]
+        np.testing.assert_array_equal(stored.data, exact.marginals["u"].data)
+        np.testing.assert_array_equal(stored.indices, exact.marginals["u"].indices)
+
+    def test_transport_alone(self, tmp_path):
+        spec, files = load(write_spec(tmp_path, patterns=None, marginals=["v", "uv"]))
+        members = make_sample(spec, files, 0, 0)
+        assert not any("frame" in name or "capture" in name for name in members)
+        with unpacked(members) as folder:
+            assert set(LightTransport.load(folder / "transport.npz").marginals) == {"v", "uv"}
+        assert json.loads(members["score.json"])["captures"] == {}
+
+
+class TestFailures:
+    def test_a_failing_sample_is_tried_again_then_recorded(
+        self, tiny, made, cluster, tmp_path, monkeypatch
+    ):
+        calls = []
+
+        def broken(specification, files, seed, sample, **options):
+            calls.append(sample)
+            if sample == 1 or (sample == 3 and calls.count(3) < 2):
+                raise RuntimeError("no light\ntoday")
+            return make_sample(specification, files, seed, sample, **options)
+
+        monkeypatch.setattr(tasks, "make_sample", broken)
+        url = str(tmp_path / "set")
+        result = make_dataset(*tiny, url, COUNT, cluster, seed=SEED)
+        rows = rows_of(url)
+        assert result.failed == 1
+        assert calls.count(1) == tasks.ATTEMPTS
+        assert (rows[1]["status"], rows[1]["attempts"]) == ("failed", tasks.ATTEMPTS)
+        assert rows[1]["reason"] == "RuntimeError: no light today"
+        assert rows[1]["sha256"] is None
+        assert (rows[3]["status"], rows[3]["attempts"]) == ("ok", 2)
+        assert verify_dataset(url)[0] == []
+        assert information(url)["failed"] == {"000001": rows[1]["reason"]}
+
+        # The cause removed, another run gives it another try and leaves the others alone.
+        monkeypatch.undo()
+        resumed = make_dataset(*tiny, url, COUNT, cluster, seed=SEED, resume=True)
+        assert (resumed.made, resumed.failed) == (1, 0)
+        assert hashes(url) == hashes(made)
+        assert verify_dataset(url)[0] == []
+
+    def test_what_meets_no_constraint_fails_at_once(self, cluster, tmp_path):
+        limits = {"min_lit_share": 1.0, "max_draws": 2}
+        spec, files = load(write_spec(tmp_path, constraints=limits))
+        result = make_dataset(spec, files, str(tmp_path / "set"), 1, cluster)
+        (row,) = rows_of(tmp_path / "set")
+        assert result.failed == 1
+        assert row["attempts"] == 1
+        assert "none of 2 draws" in row["reason"]
+        assert "too few lit pixels" in row["reason"]
+
+
+class TestResume:
+    def test_whatever_a_kill_leaves_is_finished(self, tiny, made, copy, cluster):
+        # As if killed: while one shard was being made, another packed but without its rows,
+        # a temporary file half written, the index not there.
+        storage = Storage(str(copy))
+        rows = rows_of(copy)
+        content = storage.read_range(rows[0]["shard"], rows[0]["offset"], rows[0]["size"])
+        storage.write("staging/000000.tar", content)
+        (copy / "shards" / "000000.tar").unlink()
+        (copy / "shards" / "000000.parquet").unlink()
+        (copy / "shards" / "000001.parquet").unlink()
+        (copy / "shards" / ".000001.abc.tar").write_bytes(b"half")
+        (copy / "index.parquet").unlink()
+        storage.write("run.json", b'{"token": "of a killed run"}')
+        result = make_dataset(*tiny, str(copy), COUNT, cluster, seed=SEED, resume=True)
+        assert (result.made, result.kept) == (3, 2)  # the staged one, and the third shard's
+        assert hashes(copy) == hashes(made)
+        assert verify_dataset(str(copy))[0] == []
+        assert sorted(p.name for p in (copy / "shards").iterdir()) == sorted(
+            p.name for p in (Storage(made).local / "shards").iterdir()
+        )
+
+    def test_a_truncated_shard_is_made_again(self, tiny, made, copy, cluster):
+        shard = copy / "shards" / "000002.tar"
+        shard.write_bytes(shard.read_bytes()[:1000])
+        make_dataset(*tiny, str(copy), COUNT, cluster, seed=SEED, resume=True)
+        assert hashes(copy) == hashes(made)
+        assert verify_dataset(str(copy))[0] == []
+
+    def test_a_worker_that_outlived_its_run_writes_nothing(self, made, copy):
+        old = tasks.Run(str(copy), "of a killed run", digest(Storage(made).read("dataset.json")))
+        with pytest.raises(tasks.SupersededError, match="ended"):
+            tasks.make(old, 2)
+        Storage(str(copy)).write("run.json", b'{"token": "of another run"}')
+        with pytest.raises(tasks.SupersededError, match="taken over"):
+            tasks.make(old, 2)
+        assert not (copy / "staging").exists()
+
+    @pytest.mark.parametrize(
+        ("changes", "options", "words"),
+        [
+            ({}, {"seed": 4}, "seed"),
+            ({}, {"count": 6}, "count"),
+            ({}, {"preview": True}, "preview"),
+            ({"licence": "another"}, {}, "licence"),
+            ({"constraints": {"min_lit_share": 0.1}}, {}, "specification"),
+        ],
+    )
+    def test_another_data_set_is_not_finished_here(
+        self, changes, options, words, made, cluster, tmp_path
+    ):
+        spec, files = load(write_spec(tmp_path, **changes))
+        asked = {"count": COUNT, "seed": SEED} | options
+        count = asked.pop("count")
+        with pytest.raises(InputError, match=f"{words}: expected the {words}"):
+            make_dataset(spec, files, made, count, cluster, resume=True, **asked)
+
+    def test_other_versions_do_not_finish_it(self, tiny, copy, cluster):
+        manifest = json.loads((copy / "dataset.json").read_text())
+        manifest["environment"]["libraries"]["numpy"] = "1.0"
+        (copy / "dataset.json").write_text(json.dumps(manifest))
+        with pytest.raises(InputError, match=r"numpy 1\.0.*got 2"):
+            make_dataset(*tiny, str(copy), COUNT, cluster, seed=SEED, resume=True)
+
+    def test_a_place_that_holds_something_is_refused(self, tiny, made, cluster, tmp_path):
+        with pytest.raises(InputError, match="--resume"):
+            make_dataset(*tiny, made, COUNT, cluster, seed=SEED)
+        (tmp_path / "letter.txt").write_text("Dear ...")
+        with pytest.raises(InputError, match="other files"):
+            make_dataset(*tiny, str(tmp_path), COUNT, cluster, resume=True)
+
+
+class TestCluster:
+    def test_a_task_that_kills_its_workers_is_a_failed_sample(self, tiny, cluster, tmp_path):
+        # What the scheduler raises after the last worker died; the real thing is a slow test.
+        class Dying:
+            killed = KeyError
+            allowed_deaths = 4
+
+            def __init__(self):
+                self.results = {}
+
+            def call(self, function):
+                return function()
+
+            def threads(self):
+                return 1
+
+            def submit(self, function, *arguments):
+                self.results[len(self.results)] = (function, arguments)
+                return len(self.results) - 1
+
+            def finished(self, futures):
+                return futures
+
+            def result(self, future):
+                function, arguments = self.results[future]
+                if function is tasks.make and arguments[1] == 0:
+                    raise KeyError("killed")
+                return function(*arguments)
+
+        url = str(tmp_path / "set")
+        assert make_dataset(*tiny, url, 2, Dying(), seed=SEED).failed == 1
+        row = rows_of(url)[0]
+        assert row["attempts"] == 4
+        assert "worker died" in row["reason"]
+
+    def test_few_samples_are_handed_out_at_a_time(self, tiny, tmp_path):
+        most = []
+
+        class Lost:
+            killed = KeyError
+
+            def call(self, function):
+                return function()
+
+            def threads(self):
+                return 3
+
+            def submit(self, function, *arguments):
+                return object()
+
+            def finished(self, futures):
+                most.append(len(futures))
+                raise LostError("gone")
+
+        with pytest.raises(LostError):
+            make_dataset(*tiny, str(tmp_path / "set"), 1000, Lost(), seed=SEED)
+        assert most == [6]
+        assert not (tmp_path / "set" / "run.json").exists()
+
+
+def flip(path, where):
+    content = bytearray(path.read_bytes())
+    content[where] ^= 1
+    path.write_bytes(content)
+
+
+class TestVerify:
+    def test_a_whole_one_is_whole(self, made):
+        problems, found = verify_dataset(made)
+        assert problems == []
+        assert (found["samples"], found["failed"], found["shards"]) == (COUNT, 0, 3)
+
+    def test_a_flipped_byte_is_found_wherever_it_is(self, copy):
+        row = rows_of(copy)[3]
+        rng = np.random.default_rng(0)
+        for place in rng.integers(row["offset"], row["offset"] + row["size"], 5):
+            flip(copy / row["shard"], place)
+            problems = verify_dataset(str(copy))[0]
+            assert problems == [
+                f"{copy}/{row['shard']}: sample 000003: its SHA-256 is not the index's"
+            ]
+            flip(copy / row["shard"], place)
+        assert verify_dataset(str(copy))[0] == []
+
+    def test_a_truncated_shard_is_named(self, copy):
+        row = rows_of(copy)[1]
+        shard = copy / row["shard"]
+        shard.write_bytes(shard.read_bytes()[: row["offset"] + 100])
+        problems = verify_dataset(str(copy))[0]
+        assert any("000000.tar: sample 000001" in p and "ends before" in p for p in problems)
+        assert all("000000.tar" in p for p in problems)
+
+    def test_a_cut_end_mark_is_named(self, copy):
+        shard = copy / "shards" / "000001.tar"
+        shard.write_bytes(shard.read_bytes()[: -len(END)])
+        (problem,) = verify_dataset(str(copy))[0]
+        assert "000001.tar: expected" in problem
+
+    def test_what_is_missing_is_named(self, copy):
+        (copy / "shards" / "000001.tar").unlink()
+        (problem,) = verify_dataset(str(copy))[0]
+        assert "000001.tar" in problem
+        (copy / "index.parquet").unlink()
+        problems = verify_dataset(str(copy))[0]
+        assert any("index.parquet" in p and "--resume" in p for p in problems)
+        with pytest.raises(InputError, match=r"index\.parquet"):
+            information(str(copy))
+        (copy / "dataset.json").unlink()
+        with pytest.raises(InputError, match=r"dataset\.json"):
+            verify_dataset(str(copy))
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            (lambda rows: rows.pop(2), "1 of 5 samples missing, the first 2"),
+            (lambda rows: rows.append(rows[1]), "sample 1 stands there more than once"),
+            (lambda rows: rows[2].update(height_mm=99.0), "column height_mm"),
+            (lambda rows: rows[2].update(p0r0_rms_mm=0.0), "column p0r0_rms_mm"),
+            (lambda rows: rows[3].update(offset=512), "expected at byte"),
+            (lambda rows: rows[0].update(sample=9), "sample 9 is beyond the 5"),
+        ],
+    )
+    def test_an_index_that_is_not_the_shards_is_named(self, change, words, copy):
+        rows = rows_of(copy)
+        change(rows)
+        types = Manifest.load(Storage(str(copy))).columns
+        (copy / "index.parquet").write_bytes(index.encode(rows, types))
+        assert any(words in problem for problem in verify_dataset(str(copy))[0])
+
+    def test_damaged_files_are_named(self, copy):
+        (copy / "index.parquet").write_bytes(b"PAR1 and no more")
+        (copy / "shards" / "notes.txt").write_text("mine")
+        problems = verify_dataset(str(copy))[0]
+        assert any("index.parquet" in p and "damaged" in p for p in problems)
+        assert any("notes.txt" in p for p in problems)
+
+    def test_an_unfinished_run_is_named(self, copy):
+        Storage(str(copy)).write("run.json", b'{"token": "a"}')
+        Storage(str(copy)).write("staging/000001.tar", b"")
+        problems = verify_dataset(str(copy))[0]
+        assert len(problems) == 2
+        assert all("--resume" in problem for problem in problems)
+
+
+class TestEnvironment:
+    def test_differences_are_named(self):
+        now = environment()
+        assert tasks.different(now, now | {"variant": "x"}) == ("variant", now["variant"], "x")
+        other = now | {"libraries": now["libraries"] | {"scipy": "0"}}
+        assert tasks.different(now, other) == ("scipy", now["libraries"]["scipy"], "0")

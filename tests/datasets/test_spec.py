@@ -1,0 +1,261 @@
+"""Specifications: what is drawn, from which distribution, and what is refused."""
+
+import copy
+
+import numpy as np
+import pytest
+from dataset_specs import TINY, write_spec
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from slbench.datasets.distributions import Distribution, column, find, stream
+from slbench.datasets.sampling import check, draw, place_scene, sample_seed
+from slbench.datasets.spec import load, shipped
+from slbench.errors import InputError
+from slbench.scenefile import load_scene
+
+
+def drawn(count=4000, seed=0, **table):
+    """Draw many values of one distribution, each from a stream of its own."""
+    distribution = Distribution(**table)
+    return np.array([distribution.draw(stream(seed, i, 0, "x")) for i in range(count)])
+
+
+class TestDistributions:
+    # Kolmogorov-Smirnov tests at 1e-4 false alarm, with a fixed seed.
+    @pytest.mark.parametrize(
+        ("table", "expected"),
+        [
+            ({"uniform": (2.0, 5.0)}, stats.uniform(2.0, 3.0)),
+            ({"log_uniform": (0.01, 10.0)}, stats.loguniform(0.01, 10.0)),
+            ({"normal": (1.0, 0.5)}, stats.norm(1.0, 0.5)),
+            ({"normal": (1.0, 0.5), "within": (0.8, 3.0)}, stats.truncnorm(-0.4, 4.0, 1.0, 0.5)),
+            ({"normal": (1.0, 0.5), "add": True, "base": 7}, stats.norm(8.0, 0.5)),
+        ],
+    )
+    def test_continuous_ones_have_their_distribution(self, table, expected):
+        assert stats.kstest(drawn(**table), expected.cdf).pvalue > 1e-4
+
+    def test_a_choice_has_its_weights(self):
+        values = drawn(choice=("a", "b", "c"), weights=(1.0, 0.0, 3.0))
+        counts = [np.count_nonzero(values == name) for name in "abc"]
+        assert counts[1] == 0
+        assert stats.binomtest(counts[0], 4000, 0.25).pvalue > 1e-4
+
+    def test_whole_numbers_include_both_ends(self):
+        values = drawn(integers=(3, 6))
+        assert set(values) == {3, 4, 5, 6}
+        assert stats.chisquare([np.count_nonzero(values == k) for k in (3, 4, 5, 6)]).pvalue > 1e-4
+        assert values.dtype.kind == "i"
+
+    @given(st.floats(0.0, 1.0, exclude_max=True))
+    def test_a_cut_normal_stays_within(self, u):
+        class Fixed:
+            def random(self):
+                return u
+
+        far = Distribution(normal=(0.0, 1.0), within=(4.0, 5.0))
+        assert 4.0 <= far.draw(Fixed()) <= 5.0
+        assert np.isfinite(Distribution(normal=(0.0, 1.0)).draw(Fixed()))
+
+    def test_streams_are_independent(self):
+        a, b = (
+            [Distribution(uniform=(0, 1)).draw(stream(0, i, 0, name)) for i in range(2000)]
+            for name in "ab"
+        )
+        # |r| of 2000 independent pairs is below 0.087 but once in 10,000.
+        assert abs(np.corrcoef(a, b)[0, 1]) < 0.087
+
+    def test_columns_are_named_after_keys(self):
+        table = {"position_mm": [{"uniform": [0, 1]}, 0, 0], "h": [0, {"uniform": [0, 1]}]}
+        table["ra"] = {"uniform": [0, 1], "name": "ra_um"}
+        assert [column(*found) for found in find(table, "t")] == ["x_mm", "h_1", "ra_um"]
+
+
+class TestDraws:
+    def test_a_draw_depends_on_specification_seed_and_index_alone(self, tmp_path):
+        specification, _ = load(write_spec(tmp_path))
+        first = draw(specification, 5, 17)
+        draw(specification, 5, 3)
+        assert draw(specification, 5, 17) == first
+        assert draw(specification, 6, 17) != first
+        assert draw(specification, 5, 17, 1) != first
+        assert sample_seed(5, 17) != sample_seed(5, 18)
+
+    def test_a_new_distribution_leaves_the_others_alone(self, tmp_path):
+        before, _ = load(write_spec(tmp_path))
+        scene = copy.deepcopy(TINY["scene"])
+        scene["light"] = {"ambient_w_per_m2": {"uniform": [0.0, 1.0]}}
+        after, _ = load(write_spec(tmp_path, scene=scene))
+        old, new = draw(before, 0, 4), draw(after, 0, 4)
+        assert old.values.items() < new.values.items()
+        assert old.kind == new.kind
+
+    def test_the_scene_file_is_complete_and_says_what_was_drawn(self, tmp_path):
+        specification, files = load(write_spec(tmp_path))
+        made = draw(specification, 1, 0, kind=0)
+        (tmp_path / "sample").mkdir()
+        scene = place_scene(made, files, tmp_path / "sample", False)
+        again = load_scene(tmp_path / "sample" / "scene.toml")
+        assert "extends" not in made.table
+        assert scene.exposure.white_level == again.exposure.white_level
+        assert again.exposure.white_level == made.values["white_level"]
+        assert again.specification["rig"]["alpha_p_deg"] == made.values["alpha_p_deg"]
+        assert abs(made.values["alpha_p_deg"] + 18.0) <= 0.3  # around the base scene's -18
+        assert again.objects[0].pose.position[0] == made.values["x_mm"]
+        assert again.objects[0].artefact.certified["step_1_height_mm"] == made.values["height_mm"]
+
+    def test_rejection_does_not_change_how_often_a_kind_comes(self, tmp_path):
+        specification, _ = load(write_spec(tmp_path))
+        for sample in range(10):
+            kinds = {draw(specification, 0, sample, number).kind for number in range(5)}
+            assert len(kinds) == 1
+
+    def test_a_preview_is_the_scene_seen_coarser(self, tmp_path):
+        specification, files = load("mixed")
+        made = draw(specification, 0, 0, kind=3, preview=True)
+        full = draw(specification, 0, 0, kind=3)
+        assert made.values == full.values
+        for name in ("coarse", "full"):
+            (tmp_path / name).mkdir()
+        coarse = place_scene(made, files, tmp_path / "coarse", True)
+        expected = place_scene(full, files, tmp_path / "full", False).coarser(2, 16)
+        ours, theirs = coarse.rig.camera, expected.rig.camera
+        assert (ours.width, ours.height) == (theirs.width, theirs.height) == (320, 240)
+        # Pitches are written in um, a rounding each way.
+        np.testing.assert_allclose(ours.pitch_mm, theirs.pitch_mm, rtol=1e-14)
+        np.testing.assert_allclose(ours.centre, theirs.centre, atol=1e-11)
+        assert coarse.samples == 16
+
+    def test_a_mesh_and_a_rig_stand_beside_the_scene(self, tmp_path):
+        from slbench.rig.opencv import write_rig
+
+        rig = load_scene("plane").rig
+        write_rig(tmp_path / "measured.yaml", rig)
+        mesh = resources_mesh()
+        (tmp_path / "part.ply").write_bytes(mesh)
+        spec = write_spec(
+            tmp_path,
+            scene={"rig": {"file": "measured.yaml"}, "render": {"samples": 4}},
+            objects=[{"name": "part", "mesh": "part.ply", "unit": "mm", "centre": True}],
+            constraints=None,
+        )
+        specification, files = load(spec)
+        assert set(files) == {"rig.yaml", "mesh.part.ply"} == specification.files()
+        (tmp_path / "sample").mkdir()
+        made = draw(specification, 0, 0, preview=True)
+        scene = place_scene(made, files, tmp_path / "sample", True)
+        again = load_scene(tmp_path / "sample" / "scene.toml")
+        assert scene.rig.camera.width == again.rig.camera.width == rig.camera.width // 2
+        assert (tmp_path / "sample" / "mesh.part.ply").read_bytes() == mesh
+
+
+def resources_mesh() -> bytes:
+    from slbench import resources
+
+    folder = resources.find("scenes", "datasets/mixed").parent
+    return (folder / "meshes" / "bracket.ply").read_bytes()
+
+
+class TestShipped:
+    @pytest.mark.parametrize("name", shipped())
+    def test_it_loads_and_every_object_can_be_drawn(self, name, tmp_path):
+        specification, files = load(name)
+        check(specification, files, 0, True, tmp_path)
+        assert {"gear", "coin", "step-block", "free-form"} <= set(specification.kinds())
+
+
+def _scene(**changes):
+    return {**copy.deepcopy(TINY["scene"]), **changes}
+
+
+class TestRefused:
+    @pytest.mark.parametrize(
+        ("changes", "words"),
+        [
+            ({"colour": 1}, ("'colour'",)),
+            ({"name": None}, ("tiny.toml", "name")),
+            ({"scene": _scene(exposure={"white_level": {"uniform": [0.9, 0.5]}})}, ("lowest",)),
+            ({"scene": _scene(exposure={"white_level": {"uniform": [0.9]}})}, ("uniform",)),
+            ({"scene": _scene(light={"bounces": {"log_uniform": [0, 1]}})}, ("log_uniform",)),
+            (
+                {"scene": _scene(light={"bounces": {"uniform": [0, 1], "choice": [1]}})},
+                ("scene.light.bounces", "one of uniform"),
+            ),
+            (
+                {"scene": _scene(light={"bounces": {"normal": [0, 1], "within": [50, 51]}})},
+                ("within",),
+            ),
+            (
+                {"scene": _scene(light={"bounces": {"choice": [1, 2], "weights": [1]}})},
+                ("weights",),
+            ),
+            ({"scene": _scene(light={"bounces": {"choice": [1, "a"]}})}, ("numbers or of texts",)),
+            (
+                {"scene": _scene(render={"samples": {"integers": [4, 9], "name": "x_mm"}})},
+                ("a name other than x_mm",),
+            ),
+            (
+                {"scene": _scene(render={"samples": {"integers": [4, 9], "name": "sha256"}})},
+                ("sha256",),
+            ),
+            (
+                {"scene": _scene(light={"bounces": {"integers": [0, 1], "add": True}})},
+                ("scene.light.bounces", "a number in the scene"),
+            ),
+            ({"scene": _scene(focus={"settings": 3})}, ("no focus settings",)),
+            ({"scene": _scene(extends="nowhere")}, ("extends", "nowhere")),
+            ({"objects": []}, ("objects", "one object at least")),
+            ({"objects": [{"kind": "cube"}]}, ("objects[0].kind", "'cube'")),
+            ({"objects": [{"kind": "sphere"}, {"kind": "sphere"}]}, ("a name of its own",)),
+            ({"objects": [{"kind": "sphere", "weight": 0}]}, ("objects[0].weight",)),
+            (
+                {"objects": [{"kind": "sphere", "parameters": {"radius": 1}}]},
+                ("objects[0].parameters", "'radius'"),
+            ),
+            ({"objects": [{"mesh": "../part.ply", "unit": "mm"}]}, ("objects[0].mesh", "leaves")),
+            ({"objects": [{"mesh": "none.ply", "unit": "mm"}]}, ("objects[0].mesh",)),
+            ({"patterns": [{"sequence": "1,10", "shifts": 2}]}, ("patterns[0].shifts",)),
+            ({"patterns": [{"sequence": "1,10", "repeats": 0}]}, ("patterns[0].repeats",)),
+            ({"constraints": {"min_lit_share": 2.0}}, ("constraints.min_lit_share",)),
+            ({"samples_per_shard": 0}, ("samples_per_shard",)),
+            ({"weight_bits": 24}, ("weight_bits",)),
+            ({"marginals": ["u", "u"]}, ("each once",)),
+        ],
+    )
+    def test_loading_names_what_is_wrong(self, changes, words, tmp_path):
+        with pytest.raises(InputError) as caught:
+            load(write_spec(tmp_path, **changes))
+        for word in words:
+            assert word in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("changes", "words"),
+        [
+            ({"patterns": [{"sequence": "ten"}]}, ("ten",)),
+            ({"scene": _scene(exposure={"whitelevel": 0.5})}, ("exposure.whitelevel",)),
+            (
+                {"objects": [{"kind": "sphere", "parameters": {"radius_mm": 50.0}}]},
+                ("objects[0] (sphere)", "outside the measurement volume"),
+            ),
+            (
+                {"objects": [{"kind": "sphere", "material": "jelly"}]},
+                ("objects[0] (sphere)",),
+            ),
+        ],
+    )
+    def test_what_no_draw_can_meet_is_refused_before_anything_is_rendered(
+        self, changes, words, tmp_path
+    ):
+        limits = {"inside_volume": True, "max_draws": 3}
+        specification, files = load(write_spec(tmp_path, **({"constraints": limits} | changes)))
+        with pytest.raises(InputError) as caught:
+            check(specification, files, 0, False, tmp_path)
+        for word in words:
+            assert word in str(caught.value)
+
+    def test_an_unknown_name_lists_the_shipped_ones(self):
+        with pytest.raises(InputError, match="mixed"):
+            load("no-such-specification")
