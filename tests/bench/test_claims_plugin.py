@@ -78,6 +78,7 @@ def test_a_baseline_beside_the_file_is_compared(folder):
     assert "regressed: smooth_rms_px.u" in done.stdout
 
 
+@pytest.mark.slow  # another interpreter, for a detail
 def test_a_seed_that_is_none(folder):
     claims(folder, TRUE)
     done = run_pytest(folder, "-q", "-o", "claims_seed=x")

@@ -18,13 +18,16 @@ NOT_CLAIMS = {
     "Mitsuba 3": "the name of a library",
     "Python 3.11": "a requirement",
     "about half a minute; later ones": "compiling, before any claim could be measured",
+    "HDF5": "the name of a file format",
+    "takes twenty minutes": "the time of a reader",
     "At 640 x 480 with 64 samples a pixel": "the setting of the claims that follow",
 }
 
 NUMBER = re.compile(
     r"\d[\d.,]*\d|\d"
     r"|\b(?:half|third|quarter|tenth|hundredth|thousandth|millionth|twice|double|dozen"
-    r"|two|three|four|five|six|seven|eight|nine|ten|hundred|thousand|million|percent)s?\b",
+    r"|two|three|four|five|six|seven|eight|nine|ten|eleven|twelve|\w+teen|twenty|thirty|forty"
+    r"|fifty|sixty|seventy|eighty|ninety|hundred|thousand|million|percent)s?\b",
     re.IGNORECASE,
 )
 #: What is not prose: fenced and indented code, inline code, pictures, targets of links, tags.
