@@ -69,7 +69,7 @@ class _Size:
     scenes: tuple[str, ...] = tuple(OBJECTS)
 
 
-_FULL = _Size(1, 64, 15, 30, 15)
+_FULL = _Size(1, 64, 15, 30, 40)
 # Half the pixels each way: of 50 fringes, a quarter would leave three pixels to each, too few to
 # be moved by a fraction of a pixel.
 _PREVIEW = _Size(2, 16, 6, 12, 5, (STEP_BLOCK, "ch7-gear"))

@@ -129,14 +129,18 @@ def model_findings(found: Mapping[Stage, Calibrations]) -> tuple[Finding, Findin
     exact = found["exact"].selections[0].selected
     excess = {c: _excess(off.selections, c) for c in COORDINATES}
     draws = len(off.selections)
-    chosen = ", ".join(f"{c} {100 * shares[c]:.0f} %" for c in COORDINATES)
+    forms = list(off.selections[0].scores["x"])
+    chosen = "; ".join(
+        f"{c} " + ", ".join(f"{form} {100 * off.share(c, form):.0f} %" for form in forms)
+        for c in COORDINATES
+    )
     models = Finding(
         "ch8-quadratic",
         "Quadratic models are chosen for x, y and z (figs. 30-32)",
         f"more than half of {draws} draws of a stage off by {_UM * STAGE_SIGMA_MM:g} µm choose "
         "M3, for each coordinate; in part if for some",
         verdicts.get(len(most), "in part"),
-        f"Chosen M3: {chosen}; with an exact stage "
+        f"Chosen: {chosen}; with an exact stage "
         + ", ".join(f"{c} {exact[c]}" for c in COORDINATES)
         + ". CV of M4 over M3, median: "
         + ", ".join(f"{c} {excess[c]:.4f}" for c in COORDINATES)
@@ -144,8 +148,11 @@ def model_findings(found: Mapping[Stage, Calibrations]) -> tuple[Finding, Findin
         thesis=3.0,
         ours=float(len(most)),
         unit="coordinates",
-        why="Without an error of the stage there is not enough noise to overfit: the cubic model "
-        "wins by nanometres. With it M3 and M4 differ by less than the draws do.",
+        why=""
+        if len(most) == 3
+        else "Without an error of the stage there is not enough noise to overfit, and cubic "
+        "models win by nanometres. With it the forms from M2 (y) or M3 on differ in their CV by "
+        "less than one per cent: chance decides.",
     )
     medians = {stage: _UM * np.median(c.validation(), axis=0) for stage, c in found.items()}
     worst = {stage: c.z_worst for stage, c in found.items()}
@@ -167,8 +174,10 @@ def model_findings(found: Mapping[Stage, Calibrations]) -> tuple[Finding, Findin
         ours=float(moved[2]),
         interval=_range(_UM * found["moved axes"].validation()[:, 2]),
         unit="µm",
-        why="Errors that are alike in all axes hide the difference. The thesis's numbers are those "
-        "of a stage that moves in z: its error enters there, and not in x.",
+        why=""
+        if count == 3
+        else "Errors that are alike in all axes hide the difference. The thesis's numbers are "
+        "those of a stage that moves in z: its error enters there, and not in x.",
     )
     return models, z_worst
 

@@ -23,7 +23,7 @@ THESIS_VIEWS = {"coin-3": 5, "coin-n": 12, "watch-gear": 7}
 LEAST_POINTS = 2.0
 #: Median of |error| over smooth surface, um: the thesis's own accuracy (table 13).
 LIMIT_UM = 1.5
-#: Cells across a picture, about.
+#: Cells across a picture, at most.
 _CELLS = 420
 _SHOWN_POINTS = 30_000
 _UM = 1e3
@@ -137,7 +137,8 @@ def object_picture(result: Merged) -> Picture:
     """Draw the surface from above: height with shading, and signed error."""
     points = result.points.astype(np.float64)
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
-    side = float((high - low).max()) / _CELLS
+    # Coarser where points are few, or the cells between them would be empty.
+    side = float((high - low).max()) / min(_CELLS, np.sqrt(len(points)) / 3.0)
     shape = tuple(int(n) for n in np.floor((high - low) / side).astype(int) + 1)
     cell = np.floor((points[:, :2] - low) / side).astype(int)
     flat = cell[:, 0] * shape[1] + cell[:, 1]
@@ -155,7 +156,7 @@ def object_picture(result: Merged) -> Picture:
     left, right = figure.subplots(1, 2)
     limits = np.nanpercentile(height, [0.5, 99.5])
     filled = np.where(np.isfinite(height), height, limits[0])
-    shade = LightSource(azdeg=315.0, altdeg=35.0).hillshade(filled, dx=side, dy=side)
+    shade = LightSource(azdeg=315.0, altdeg=35.0).hillshade(filled, vert_exag=4.0, dx=side, dy=side)
     shown = left.imshow(
         _UM * height, cmap="viridis", extent=extent, vmin=_UM * limits[0], vmax=_UM * limits[1]
     )

@@ -1,7 +1,8 @@
 """How long decoding takes, and how that grows with the unwrapping steps.
 
 Processor time of all threads, of one run on one machine, compared with one another: what else the
-machine does counts little.  Sequences take turns, so that slow spells meet all of them.
+machine does counts little.  Sequences take turns, so that slow spells meet all of them, and the
+lower quartile of all turns stands for a sequence: what disturbs a turn makes it slower.
 """
 
 from __future__ import annotations
@@ -41,25 +42,27 @@ class Timing:
     total_s: Array
 
     def line(self) -> Line:
-        """Fit the fastest decoding times by a straight line in the number of steps."""
-        fastest = self.decode_s.min(axis=1)
-        slope, start = np.polyfit(self.steps, fastest, 1)
-        rest = fastest - (start + slope * np.array(self.steps))
-        return Line(float(start), float(slope), 1.0 - float(rest.var() / fastest.var()))
+        """Fit the decoding times by a straight line in the number of steps."""
+        times = typical(self.decode_s)
+        slope, start = np.polyfit(self.steps, times, 1)
+        rest = times - (start + slope * np.array(self.steps))
+        return Line(float(start), float(slope), 1.0 - float(rest.var() / times.var()))
 
     def ratio(self, a: str, b: str, seed: int, *, total: bool = True) -> Interval:
-        """Return the time of `a` over that of `b`, 95 % interval over the turns (paired).
-
-        Medians over the turns; the bootstrap draws turns.
-        """
+        """Return the time of `a` over that of `b`; 95 % interval: paired bootstrap of the turns."""
         times = self.total_s if total else self.decode_s
         first, second = times[self.sets.index(a)], times[self.sets.index(b)]
 
         def ratio(turns: NDArray[np.intp]) -> float:
-            return float(np.median(first[turns]) / np.median(second[turns]))
+            return float(typical(first[turns]) / typical(second[turns]))
 
         draws = bootstrap(ratio, len(first), seed)
         return Interval(ratio(np.arange(len(first))), *percentile_interval(draws[:, 0]))
+
+
+def typical(seconds: Array) -> Array:
+    """Return the lower quartile over the turns (..., turns)."""
+    return np.asarray(np.percentile(seconds, 25.0, axis=-1))
 
 
 def time_sets(

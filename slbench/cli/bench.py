@@ -68,7 +68,8 @@ def bench(
     for outcome in outcomes:
         print_table(_findings(outcome))
         for finding in outcome.findings:
-            print(f"{finding.name}: {finding.verdict}. {finding.evidence} {finding.why}".rstrip())
+            print(f"{finding.name}: {finding.statement}: {finding.verdict}.")
+            print(f"    {finding.evidence} {finding.why}".rstrip())
         print(f"Written to {out / outcome.chapter}")
     if report is not None:
         print(f"Written to {report}")
@@ -110,11 +111,11 @@ def _page(outcomes: list[Outcome]) -> Page:
 
 
 def _findings(outcome: Outcome) -> Table:
-    """Lay the findings out for a terminal."""
+    """Lay the findings out for a terminal, by their names: statements are long."""
     table = Table(title=outcome.title + (", preview" if outcome.preview else ""))
     summary = outcome.summary
     for k, name in enumerate(summary.columns):
         table.add_column(name, justify="left" if k < 2 else "right", overflow="fold")
-    for row in summary.texts():
-        table.add_row(*row)
+    for finding, row in zip(outcome.findings, summary.texts(), strict=True):
+        table.add_row(finding.name.removeprefix(f"{outcome.chapter}-"), *row[1:])
     return table

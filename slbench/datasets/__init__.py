@@ -7,7 +7,8 @@ Dask cluster.  Using one needs no Mitsuba: :func:`open` reads it, ``torch_adapto
 PyTorch, ``export`` writes other layouts.
 """
 
-from slbench.datasets.reader import Dataset, Sample
+from slbench.datasets.reader import Dataset
 from slbench.datasets.reader import open_dataset as open
+from slbench.datasets.stored import Sample
 
 __all__ = ["Dataset", "Sample", "open"]

@@ -1,8 +1,9 @@
 """A Dask cluster: one of this machine's own, or one that is there already.
 
-A worker of this machine's own makes one sample at a time.  Tracing uses all cores, but a good
-part of a sample (building the scene, decoding, files) uses one, so several workers serve a
-machine better than one with many threads; see :func:`workers_here`.
+A worker of this machine's own makes one sample at a time, with its share of the cores.  Tracing
+uses many, but a good part of a sample (building the scene, truth, decoding, files) uses one, so
+a worker a core serves a machine better than one worker with all of them (docs/datasets.md has
+the measurement).
 """
 
 from __future__ import annotations
@@ -15,12 +16,15 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from slbench.datasets.extras import extra
+from slbench.datasets.tasks import THREADS
 from slbench.errors import InputError
 
 #: How long a scheduler may take to answer, s.
 _ANSWER_S = 10.0
 #: How long a cluster may take to have a worker, or to hand over what it has, s.
 _PATIENCE_S = 30.0
+#: What a worker may need: a scan stays under 2 GiB.
+_MEMORY_BYTES = 2 << 30
 #: How often the client looks whether the cluster is still there, s.
 _LOOK_S = 1.0
 
@@ -109,7 +113,19 @@ class Cluster:
 
 
 def workers_here() -> int:
-    """Return how many workers serve this machine well: one a core that may be used."""
+    """Return how many workers serve this machine well: one a core that it may use.
+
+    No more than memory allows, and one where a GPU does the tracing.
+    """
+    from slbench.render.backend import choose
+
+    if choose().variant.startswith("cuda"):
+        return 1
+    room = extra("distributed.system").MEMORY_LIMIT // _MEMORY_BYTES
+    return int(max(1, min(_cores(), room)))
+
+
+def _cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -126,10 +142,13 @@ def local_cluster(workers: int) -> Iterator[Cluster]:
     """
     distributed = extra("distributed")
     _quiet()
+    threads = str(max(1, _cores() // max(1, workers)))
+    options = {"env": {THREADS: threads, "NUMBA_NUM_THREADS": threads}} if workers else {}
     with (
         distributed.LocalCluster(
             n_workers=max(1, workers),
             threads_per_worker=1,
+            **options,
             processes=workers > 0,
             dashboard_address="127.0.0.1:0" if workers else None,
             silence_logs=logging.CRITICAL,

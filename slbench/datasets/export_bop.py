@@ -42,8 +42,9 @@ from scipy.spatial.distance import cdist
 
 from slbench.datasets.export_frames import depth_scale, scaled_depth, write_index
 from slbench.datasets.raster import depth_of_mesh
-from slbench.datasets.reader import Dataset, Sample
+from slbench.datasets.reader import Dataset
 from slbench.datasets.recipe import Recipe
+from slbench.datasets.stored import Sample
 from slbench.errors import InputError
 from slbench.io import write_json, write_ply, write_png
 from slbench.objects import Artefact

@@ -31,8 +31,9 @@ from numpy.typing import NDArray
 import slbench
 from slbench.capture import Capture
 from slbench.datasets.extras import extra
-from slbench.datasets.reader import Dataset, Sample
+from slbench.datasets.reader import Dataset
 from slbench.datasets.recipe import Recipe
+from slbench.datasets.stored import Sample
 from slbench.errors import InputError
 from slbench.rig.device import Device
 

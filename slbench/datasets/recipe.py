@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slbench.capture import Capture
-from slbench.datasets.reader import Sample
+from slbench.datasets.stored import Sample
 from slbench.detector import Detector
 from slbench.errors import InputError
 from slbench.patterns import PatternSequence

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import functools
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +29,8 @@ from slbench.errors import InputError
 
 #: How often a sample is made before it counts as failed.
 ATTEMPTS = 3
+#: The environment variable that says how many threads a worker may trace with.
+THREADS = "SLBENCH_THREADS"
 RUN = "run.json"
 STAGING = "staging"
 FILES = "files"
@@ -80,9 +83,19 @@ def staged_name(sample: int) -> str:
     return f"{STAGING}/{key(sample)}.tar"
 
 
+@functools.cache
+def _settle() -> None:
+    """Take no more threads than the worker was given, once a process."""
+    if THREADS in os.environ:
+        from slbench.render.backend import limit_threads
+
+        limit_threads(int(os.environ[THREADS]))
+
+
 @functools.lru_cache(maxsize=4)
 def _plan(run: Run) -> tuple[Manifest, Specification, dict[str, bytes]]:
     """Read what a data set is, once a process and run."""
+    _settle()
     storage = run.storage
     content = storage.read(MANIFEST)
     if digest(content) != run.digest:

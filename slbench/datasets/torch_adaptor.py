@@ -22,8 +22,9 @@ import numpy as np
 
 from slbench.capture import Capture
 from slbench.datasets.extras import extra
-from slbench.datasets.reader import Dataset, Sample
+from slbench.datasets.reader import Dataset
 from slbench.datasets.recipe import Chooser, Patterns, Recipe
+from slbench.datasets.stored import Sample
 from slbench.detector import Detector
 from slbench.errors import InputError
 

@@ -164,6 +164,18 @@ def threads() -> int:
     return int(importlib.import_module("drjit").thread_count())
 
 
+def limit_threads(count: int) -> None:
+    """Let Dr.Jit compute with `count` threads on the CPU, where several processes share it.
+
+    Raises
+    ------
+    BackendError
+        As :func:`activate`.
+    """
+    activate()
+    importlib.import_module("drjit").set_thread_count(count)
+
+
 def _decide(variant: str | None, llvm: Callable[[], tuple[Path | None, Version]]) -> Backend:
     """Choose, with the LLVM from wherever it must come from: it is looked for only if needed."""
     requested, where = _requested(variant)

@@ -111,12 +111,19 @@ class TestSequence:
         for count in (1, 3, 100):
             assert [item.number for item in data.ahead(lambda x: x, count)] == READY
 
+    def test_samples_made_ready_ahead_need_no_more_reading(self, data, monkeypatch):
+        ready = list(data[:2].ahead(datasets.Sample.ready))
+        wanted = [item.capture("1,8").frames for item in data[:2]]
+        monkeypatch.setattr(Storage, "read_range", None)
+        for item, frames in zip(ready, wanted, strict=True):
+            np.testing.assert_array_equal(item.capture("1,8").frames, frames)
+
     def test_iterating_keeps_no_sample(self, data):
         for item in data[:3]:
             assert item.transport.shape == (48, 64)
         del item
         gc.collect()
-        left = [x for x in gc.get_objects() if isinstance(x, datasets.Sample)]
+        left = [x for x in gc.get_objects() if type(x) is datasets.Sample]
         assert [x for x in left if "transport" in vars(x)] == []
 
 

@@ -143,6 +143,16 @@ def begun(place, before):
     return token(place) not in (before, None)
 
 
+def stored(place):
+    """Return the names of the files that samples and shards stand in."""
+    return {path.name for path in place.glob("s*/0*")}
+
+
+def more_stored(place, before):
+    """Tell whether a sample or a shard is there that was not."""
+    return bool(stored(place) - before)
+
+
 def wait_for(process, event):
     """Wait until something has happened, or the process has ended."""
     deadline = time.monotonic() + 120.0
@@ -159,18 +169,21 @@ def test_killed_again_and_again(spec, reference_run, tmp_path):
     place = tmp_path / "set-0"
     while sum(kills.values()) < KILLS:
         more = ["--workers", 2] + (["--resume"] if place.exists() else [])
-        before = token(place)
+        before, there = token(place), stored(place)
         with running(spec, place, *more) as process:
             wait_for(process, functools.partial(workers_of, process))
-            # One in five dies while it starts, the others while samples are made and packed.
-            if rng.random() > 0.2:
+            # Some die while they start, some with their first samples, most in the middle.
+            moment = rng.random()
+            if moment > 0.1:
                 wait_for(process, functools.partial(begun, place, before))
-            time.sleep(rng.uniform(0.0, 6.0 * pace))
+            if moment > 0.3:
+                wait_for(process, functools.partial(more_stored, place, there))
+            time.sleep(rng.uniform(0.0, 4.0 * pace))
             workers = workers_of(process)
             if workers and process.poll() is None:
                 rng.choice(workers).kill()
                 kills["worker"] += 1
-            time.sleep(rng.uniform(0.0, 6.0 * pace))
+            time.sleep(rng.uniform(0.0, 4.0 * pace))
             done = process.poll()
             if done is None:
                 kills["run"] += 1

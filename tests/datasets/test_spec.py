@@ -237,7 +237,14 @@ class TestRefused:
             ({"patterns": [{"sequence": "ten"}]}, ("ten",)),
             ({"scene": _scene(exposure={"whitelevel": 0.5})}, ("exposure.whitelevel",)),
             (
-                {"objects": [{"kind": "sphere", "parameters": {"radius_mm": 50.0}}]},
+                {
+                    "objects": [
+                        {
+                            "kind": "sphere",
+                            "parameters": {"radius_mm": 50.0, "max_form_error_um": 500.0},
+                        }
+                    ]
+                },
                 ("objects[0] (sphere)", "outside the measurement volume"),
             ),
             (

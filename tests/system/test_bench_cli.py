@@ -61,7 +61,7 @@ def test_a_chapter_is_written(chapters, tmp_path):
     assert "F is missing." in text
     origin = json.loads((tmp_path / "ch6" / "provenance.json").read_text())
     assert origin["seed"] == 3
-    for words in ("b: not reproduced. It is E. F is missing.", "A beats B", "1.05"):
+    for words in ("b: C is D: not reproduced.\n    It is E. F is missing.", "A beats B", "1.05"):
         assert words in done.out
 
 

@@ -1,6 +1,7 @@
 """``slbench dataset make``, ``verify`` and ``info`` from the command line."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -53,6 +54,7 @@ class TestMake:
         assert "0 made, 3 kept" in outcome.out
         assert hashes(out) == before
 
+    @pytest.mark.slow
     def test_worker_processes_make_the_same(self, made, tmp_path):
         spec, out, _ = made
         words = ["make", spec, "--out", tmp_path / "set", "--count", 1, "--workers", 1]
@@ -91,8 +93,6 @@ class TestVerifyAndInfo:
         assert json.loads(run_cli("dataset", "verify", made[1], "--json").out)["problems"] == []
 
     def test_a_damaged_one(self, made, tmp_path):
-        import shutil
-
         shutil.copytree(made[1], tmp_path / "set")
         shard = tmp_path / "set" / "shards" / "000000.tar"
         content = bytearray(shard.read_bytes())
