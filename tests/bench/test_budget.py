@@ -123,7 +123,7 @@ class TestSourcesAlone:
         assert four.std_median_mm / sixteen.std_median_mm == pytest.approx(4.0, rel=0.12)
 
     def test_vibration_does_not_depend_on_n(self):
-        scene, vibration, repeats = ideal(small(NAME, divisor=8)), 0.03, 120
+        scene, vibration, repeats = ideal(small("plane", divisor=8)), 0.03, 120
         moving = replace(scene, exposure=replace(scene.exposure, vibration_px=vibration))
         truth = object_truth(ground_truth(scene))
         found = compare(
