@@ -26,6 +26,8 @@ LIMIT_UM = 1.5
 #: Cells across a picture, at most.
 _CELLS = 420
 _SHOWN_POINTS = 30_000
+#: Heights are shaded this many times as high: roughness of a few tenths of a micrometre shows.
+_EXAGGERATED = 5.0
 _UM = 1e3
 
 
@@ -134,7 +136,7 @@ def objects_table(results: Sequence[Merged]) -> Table:
 
 
 def object_picture(result: Merged) -> Picture:
-    """Draw the surface from above: height with shading, and signed error."""
+    """Draw the surface from above: shaded, by height, and by signed error."""
     points = result.points.astype(np.float64)
     low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
     # Coarser where points are few, or the cells between them would be empty.
@@ -152,24 +154,25 @@ def object_picture(result: Merged) -> Picture:
 
     height, error = (raster(points[:, 2]), raster(_UM * result.error_mm.astype(np.float64)))
     extent = (low[0], high[0], low[1], high[1])
-    figure = new_figure(10.6, 4.8)
-    left, right = figure.subplots(1, 2)
+    figure = new_figure(13.2, 4.4)
+    shaded, left, right = figure.subplots(1, 3, width_ratios=[1.1, 1.2, 1.2])
     limits = np.nanpercentile(height, [0.5, 99.5])
     filled = np.where(np.isfinite(height), height, limits[0])
-    shade = LightSource(azdeg=315.0, altdeg=35.0).hillshade(filled, vert_exag=4.0, dx=side, dy=side)
+    light = LightSource(azdeg=315.0, altdeg=45.0)
+    shade = light.hillshade(filled, vert_exag=_EXAGGERATED, dx=side, dy=side)
+    grey = np.where(np.isfinite(height), shade, np.nan)
+    shaded.imshow(grey, cmap="gray", extent=extent, vmin=0.0, vmax=1.0)
+    shaded.set_title(f"shaded, heights times {_EXAGGERATED:g}")
     shown = left.imshow(
         _UM * height, cmap="viridis", extent=extent, vmin=_UM * limits[0], vmax=_UM * limits[1]
     )
-    shadow = np.zeros((*shade.shape, 4))
-    shadow[..., 3] = np.where(np.isfinite(height), 0.6 * (1.0 - shade), 0.0)
-    left.imshow(shadow, extent=extent)
-    figure.colorbar(shown, ax=left, label="height / µm", shrink=0.85)
+    figure.colorbar(shown, ax=left, label="height / µm", shrink=0.7)
     left.set_title(f"{result.name}: {len(result.registration.poses)} views, {len(points)} points")
     limit = float(np.nanpercentile(np.abs(error), 90.0)) if np.isfinite(error).any() else 1.0
     drawn = right.imshow(error, cmap="RdBu_r", extent=extent, vmin=-limit, vmax=limit)
-    figure.colorbar(drawn, ax=right, label="signed error / µm", shrink=0.85, extend="both")
+    figure.colorbar(drawn, ax=right, label="signed error / µm", shrink=0.7, extend="both")
     right.set_title("error along the true normal")
-    for axes in (left, right):
+    for axes in (shaded, left, right):
         axes.set_facecolor("0.8")
         axes.set_xlabel("x / mm")
         axes.set_ylabel("y / mm")

@@ -172,7 +172,7 @@ def write_outcome(outcome: Outcome, folder: str | Path) -> None:
     ----------
     outcome : Outcome
     folder : path
-        Of this chapter alone; what an earlier run left there goes.
+        Of this chapter alone; files of the same names are replaced, others stay.
     """
     with atomic_folder(folder) as temporary:
         write_bytes(temporary / f"{outcome.chapter}.md", outcome.markdown().encode())
