@@ -41,6 +41,11 @@ _CELL_MM = 0.004
 _FEW = 4
 #: What is longer than this is waviness, mm.
 _CUTOFF_MM = 0.08
+#: Squares with a larger range of true heights hold a step, mm.
+_STEP_MM = 0.02
+#: A point that is further off is on another surface: blur mixes a bright edge with what lies
+#: dark below it.  More than ten deviations of what is measured elsewhere, mm.
+OUTLIER_MM = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +132,20 @@ class Merged:
         """Error of the height between upper and lower level surfaces; NaN for one level."""
         upper = self._upper
         top, base = self.errors(self.level & upper), self.errors(self.level & ~upper)
-        return float(top.mean() - base.mean()) if len(top) and len(base) else float("nan")
+        if not len(top) or not len(base):
+            return float("nan")
+        return float(np.median(top) - np.median(base))
+
+    @property
+    def outliers(self) -> float:
+        """Share of the points on smooth surface that are off by more than 5 um."""
+        return float(np.mean(np.abs(self.errors(self.smooth)) > OUTLIER_MM))
+
+    @property
+    def smooth_rms_mm(self) -> float:
+        """RMS error on smooth surface, outliers left out, mm."""
+        error = self.errors(self.smooth)
+        return float(np.sqrt(np.mean(error[np.abs(error) <= OUTLIER_MM] ** 2)))
 
     @property
     def roughness_mm(self) -> tuple[float, float]:
@@ -135,7 +153,9 @@ class Merged:
 
         Means over cells of 4 um, less those of squares of 80 um: the cut-off of waviness.
         """
-        known, upper = np.isfinite(self.error_mm) & self.level, self._upper
+        with np.errstate(invalid="ignore"):
+            known = self.level & (np.abs(self.error_mm) <= OUTLIER_MM)
+        upper = self._upper
         found = [self._roughness(known & side) for side in (upper, ~upper)]
         return max(found, key=lambda pair: pair[1] if np.isfinite(pair[1]) else -1.0)
 
@@ -153,12 +173,19 @@ class Merged:
             np.floor(middles / _CUTOFF_MM).astype(np.int64), axis=0, return_inverse=True
         )
         true = self.true_z_mm[chosen].astype(np.float64)
+        low, high = np.full(square.max() + 1, np.inf), np.full(square.max() + 1, -np.inf)
+        exact = (np.bincount(label, true) / counts)[full]
+        np.minimum.at(low, square, exact)
+        np.maximum.at(high, square, exact)
+        flat = (high - low)[square] < _STEP_MM
+        if not flat.any():
+            return float("nan"), float("nan")
         result = []
         # Level: the error along the normal is that of z.
         for heights in (true + self.error_mm[chosen], true):
             means = (np.bincount(label, heights) / counts)[full]
             waves = np.bincount(square, means) / np.bincount(square)
-            result.append(float(np.mean(np.abs(means - waves[square]))))
+            result.append(float(np.mean(np.abs(means - waves[square])[flat])))
         return result[0], result[1]
 
     @property
