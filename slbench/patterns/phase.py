@@ -200,9 +200,13 @@ def unwrap_spatially(phase: ArrayLike, mask: ArrayLike | None = None) -> FloatAr
         valid &= given
     if not valid.any():
         raise InputError("unwrap_spatially: mask", "at least one valid pixel", "none")
-    hidden = np.ma.masked_array(np.where(valid, relative, 0.0), mask=~valid)
-    # A fixed seed for the library's tie-breaking: the same input, the same output.
-    return np.where(valid, np.ma.getdata(unwrap_phase(hidden, rng=0)), np.nan)
+    # A masked frame around the picture: the library leaves the reliability of its corner pixels to
+    # whatever stands in memory.  A fixed seed for its tie-breaking: the same input, the same output.
+    framed = np.ma.masked_array(
+        np.pad(np.where(valid, relative, 0.0), 1), mask=~np.pad(valid, 1, constant_values=False)
+    )
+    found = np.ma.getdata(unwrap_phase(framed, rng=0))[1:-1, 1:-1]
+    return np.where(valid, found, np.nan)
 
 
 @overload
