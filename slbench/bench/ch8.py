@@ -116,7 +116,7 @@ FULL = Size(
     objects_stage="all axes",
 )
 PREVIEW = Size(
-    settings=3,
+    settings=2,
     noise_divisor=16,
     noise_heights=5,
     noise_repeats=4,
@@ -144,7 +144,7 @@ def run_ch8(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
     ----------
     preview : bool
         Few pixels, positions and repeats: less than a minute on two idle cores; the full run
-        takes some 20 minutes and 2 GiB.
+        takes some 20 minutes and 1.4 GiB.
     seed : int
     on_progress : callable, optional
 

@@ -23,6 +23,7 @@ PROVENANCE_LIBRARIES = (
     "scikit-learn",
     "scipy",
     "shapely",
+    "small_gicp",
     "trimesh",
 )
 

@@ -200,8 +200,8 @@ def unwrap_spatially(phase: ArrayLike, mask: ArrayLike | None = None) -> FloatAr
         valid &= given
     if not valid.any():
         raise InputError("unwrap_spatially: mask", "at least one valid pixel", "none")
-    # A masked frame around the picture: the library leaves the reliability of its corner pixels to
-    # whatever stands in memory.  A fixed seed for its tie-breaking: the same input, the same output.
+    # A masked frame around the picture, as the library leaves the reliability of corner pixels to
+    # whatever stands in memory, and a seed for its tie-breaking: same input, same output.
     framed = np.ma.masked_array(
         np.pad(np.where(valid, relative, 0.0), 1), mask=~np.pad(valid, 1, constant_values=False)
     )
