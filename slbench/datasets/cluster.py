@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -18,6 +19,7 @@ from typing import Any
 from slbench.datasets.extras import extra
 from slbench.datasets.tasks import THREADS
 from slbench.errors import InputError
+from slbench.objects.cache import VARIABLE as CACHE
 
 #: How long a scheduler may take to answer, s.
 _ANSWER_S = 10.0
@@ -143,15 +145,16 @@ def local_cluster(workers: int) -> Iterator[Cluster]:
     distributed = extra("distributed")
     _quiet()
     threads = str(max(1, _cores() // max(1, workers)))
-    options = {"env": {THREADS: threads, "NUMBA_NUM_THREADS": threads}} if workers else {}
     with (
+        # Drawn objects come once: they must not push others out of the user's cache.
+        tempfile.TemporaryDirectory(prefix="slbench-objects-") as objects,
         distributed.LocalCluster(
             n_workers=max(1, workers),
             threads_per_worker=1,
-            **options,
             processes=workers > 0,
             dashboard_address="127.0.0.1:0" if workers else None,
             silence_logs=logging.CRITICAL,
+            **({"env": _worker_variables(threads, objects)} if workers else {}),
         ) as local,
         distributed.Client(local) as client,
     ):
@@ -181,6 +184,12 @@ def existing_cluster(address: str) -> Iterator[Cluster]:
                 raise InputError("--scheduler", f"a worker at {address}", "none")
             time.sleep(0.1)
         yield Cluster(client, client.dashboard_link)
+
+
+def _worker_variables(threads: str, objects: str) -> dict[str, str]:
+    """Return the environment variables of a local worker."""
+    own = {THREADS: threads, "NUMBA_NUM_THREADS": threads}
+    return own if CACHE in os.environ else {**own, CACHE: objects}
 
 
 def _quiet() -> None:

@@ -27,6 +27,7 @@ from slbench.datasets.sample import (
     TRUTH,
     capture_names,
     from_folder,
+    rounded,
     write_capture,
     write_transport,
 )
@@ -161,12 +162,12 @@ def _measure(
         prefix: scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
         for prefix, patterns in specification.prefixes()
     }
-    transport = trace(scene, marginals_of(specification, scene), seed=seed)
-    write_transport(folder / TRANSPORT, transport, specification.weight_bits)
+    # Frames are made of what is stored, so that anyone can make them again.
+    traced = trace(scene, marginals_of(specification, scene), seed=seed)
+    transport = rounded(traced, specification.weight_bits)
     if any(block.data.size == 0 for block in transport.marginals.values()):
         raise InputError("light transport", "light on the object", "none")
-    # What is stored is what frames are made of, so that anyone can make them again.
-    transport = LightTransport.load(folder / TRANSPORT)
+    write_transport(folder / TRANSPORT, transport)
     truth.save(folder / TRUTH)
     captures: dict[str, Any] = {}
     floors: dict[int, float] = {}

@@ -21,8 +21,10 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
+import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -69,32 +71,43 @@ def write_capture(folder: Path, prefix: str, shots: Capture) -> None:
         write_toml(folder / f"{prefix}.{MANIFEST}", manifest)
 
 
-def write_transport(path: Path, transport: LightTransport, bits: int = EXACT_BITS) -> None:
-    """Write light transport deflated, its weights rounded to `bits` of mantissa.
+def rounded(transport: LightTransport, bits: int) -> LightTransport:
+    """Return light transport with its weights rounded to `bits` of mantissa.
 
-    The file is one that :meth:`LightTransport.load` reads.  Rounding keeps the nearest of the
-    numbers with `bits` explicit bits, a relative error of at most ``2**-(bits + 1)``; the
-    zeros behind them deflate away.
+    Rounding keeps the nearest of the numbers with `bits` explicit bits, a relative error of at
+    most ``2**-(bits + 1)``; the zeros behind them deflate away.
 
     Parameters
     ----------
-    path : Path
     transport : LightTransport
     bits : int
         From 1 to 23; 23 keeps the weights as they are.
     """
     if not 1 <= bits <= EXACT_BITS:
         raise InputError("weight_bits", f"1 to {EXACT_BITS}", bits)
-    transport.save(path)
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    drop = EXACT_BITS - bits
-    for name, array in arrays.items():
-        if drop and name.endswith("_data"):
-            half = np.uint32(1 << (drop - 1))
-            raw = array.view(np.uint32) + half
-            arrays[name] = (raw >> np.uint32(drop) << np.uint32(drop)).view(np.float32)
-    np.savez_compressed(path, **arrays)  # type: ignore[arg-type]
+    drop = np.uint32(EXACT_BITS - bits)
+    if drop == 0:
+        return transport
+    half = np.uint32(1 << (int(drop) - 1))
+    marginals = {
+        name: replace(rows, data=((rows.data.view(np.uint32) + half) >> drop << drop).view("f4"))
+        for name, rows in transport.marginals.items()
+    }
+    return replace(transport, marginals=marginals)
+
+
+def write_transport(path: Path, transport: LightTransport) -> None:
+    """Write light transport deflated; :meth:`LightTransport.load` reads it."""
+    raw = path.with_name(f"raw-{path.name}")
+    transport.save(raw)
+    with (
+        zipfile.ZipFile(raw) as source,
+        # The weights' mantissas are noise: the fastest level makes the file as small as the best.
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as target,
+    ):
+        for name in source.namelist():
+            target.writestr(zipfile.ZipInfo(name), source.read(name), zipfile.ZIP_DEFLATED)
+    raw.unlink()
 
 
 def from_folder(folder: Path) -> dict[str, bytes]:
