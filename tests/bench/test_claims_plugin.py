@@ -65,6 +65,7 @@ def test_settings_markers_and_a_file_that_is_refused(folder):
     assert "Traceback" not in done.stdout
 
 
+@pytest.mark.slow
 def test_a_baseline_beside_the_file_is_compared(folder):
     claims(folder, TRUE, TRUE | {"name": "worse"})
     assert run_cli("check", folder / "some.claims.toml", "--update").status == 0
