@@ -194,5 +194,7 @@ def _worker_variables(threads: str, objects: str) -> dict[str, str]:
 
 def _quiet() -> None:
     """Keep what Dask logs of dead workers off the terminal: the run tells what comes of them."""
-    for name in ("distributed", "tornado.application", "asyncio"):
+    # Dask gives some of its modules' loggers a level and a handler of their own.
+    own = [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    for name in ("distributed", "tornado.application", "asyncio", *own):
         logging.getLogger(name).setLevel(logging.CRITICAL)
