@@ -291,8 +291,7 @@ def capture(
     for indices, radiance in radiance_batches(scene, transport):
         if shake is not None and scene.exposure.vibration_px > 0:
             _vibrate(radiance, scene.exposure.vibration_px, shake)
-        radiance *= np.float32(factor)
-        frames[indices] = expose(scene.detector, radiance, exposure_s, rng, noise)
+        frames[indices] = expose(scene.detector, radiance, exposure_s, rng, noise, factor)
         done += len(indices)
         if on_progress:
             on_progress(done / len(frames))

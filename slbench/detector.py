@@ -4,7 +4,8 @@ The linear model of EMVA Standard 1288 (release 4.0), in this order:
 
 1. photons mu_p -> electrons: Poisson(QE mu_p (1 + PRNU)) + Poisson(dark current x exposure).
    A sum of Poisson variables is Poisson, so one draw serves both.
-2. + DSNU, fixed a pixel, and + Gaussian read noise, fresh a frame.
+2. + DSNU, fixed a pixel, and + Gaussian read noise, fresh a frame.  Read noise blurs the whole
+   electrons of shot noise to a smooth distribution, of which one draw is enough (`_quantile`).
 3. clipped at full well, divided by the gain, lifted by the black level.
 4. rounded *once* and clipped to the bit depth.  Rounding is the quantisation noise; adding
    uniform noise to it as well would count it twice.
@@ -35,12 +36,12 @@ PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_PER_S = 299792458.0
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 
-# From this mean on, Poisson numbers come from the quantile expansion in `_shot_noise`, whose
-# distribution function is then within 1e-5 of the exact one; below, from NumPy's exact sampler.
-EXPANSION_MEAN_E = 100.0
+# From this variance on, and from this read noise on, which hides that electrons are whole, one
+# draw (`_quantile`) serves shot and read noise: its distribution function is then within 3e-6 of
+# the exact one.  Elsewhere both are drawn, shot noise by NumPy's exact sampler.
+EXPANSION_VARIANCE_E2 = 100.0
+EXPANSION_READ_NOISE_E = 1.0
 
-# Memory for frames that are exposed at the same time.
-_WORKING_BYTES = 1 << 28
 #: Normal numbers drawn at a time: what is done with them is then vectorised, in the cache.
 _BLOCK = 1024
 
@@ -207,6 +208,7 @@ def expose(
     exposure_s: float,
     rng: np.random.Generator | None = None,
     noise: bool = True,
+    scale: float = 1.0,
 ) -> FrameArray:
     """Expose frames: mean photons in, digital numbers out.
 
@@ -221,6 +223,8 @@ def expose(
         Source of the temporal noise; each frame draws from a child stream of it.
     noise : bool
         False gives the expectation, without temporal noise or fixed pattern, rounded once.
+    scale : float
+        Photons a unit of `photons`, which may thus be a radiance.
 
     Returns
     -------
@@ -237,28 +241,22 @@ def expose(
     if stack.ndim < 2 or stack.size == 0 or stack.dtype.kind not in "uif":
         raise InputError("expose: photons", "real numbers of shape (..., V, U)", stack.shape)
     _require_exposure(exposure_s)
+    _require_positive("expose: scale", scale)
     frames = stack.reshape(-1, *stack.shape[-2:])
     out = np.empty(frames.shape, np.uint8 if detector.bit_depth == 8 else np.uint16)
     if not noise:
         for k, frame in enumerate(frames):
-            out[k] = np.rint(expected_dn(detector, frame, exposure_s))
+            out[k] = np.rint(expected_dn(detector, frame * scale, exposure_s))
         return out.reshape(stack.shape)
     if not isinstance(rng, np.random.Generator):
         raise InputError("expose: rng", "a numpy.random.Generator", type(rng).__name__)
 
-    # Sampling releases the interpreter lock.  A frame in work takes one float64 image.
-    affordable = max(1, _WORKING_BYTES // (8 * frames[0].size))
-    workers = min(len(frames), os.cpu_count() or 1, affordable)
+    def expose_frame(k: int) -> None:
+        _expose_frame(detector, frames[k], scale, exposure_s, streams[k], out[k])
+
     streams = rng.spawn(len(frames))
-
-    def expose_some(first: int) -> None:
-        # One image for all frames of a worker: fresh memory costs as much as drawing noise.
-        electrons = np.empty(frames[0].size)
-        for k in range(first, len(frames), workers):
-            _expose_frame(detector, frames[k], exposure_s, streams[k], electrons, out[k])
-
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(expose_some, range(workers)))
+    with ThreadPoolExecutor(min(len(frames), os.cpu_count() or 1)) as pool:
+        list(pool.map(expose_frame, range(len(frames))))  # releases the interpreter lock
     return out.reshape(stack.shape)
 
 
@@ -312,11 +310,11 @@ def auto_exposure_scale(
 @lru_cache(maxsize=4)
 def _fixed_pattern(
     seed: int, prnu: float, dsnu_e: float, shape: tuple[int, int]
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the relative response and the offset in electrons of each pixel, (V, U) each."""
     rng = np.random.default_rng(seed)
-    response = np.maximum(1.0 + prnu * rng.standard_normal(shape), 0.0)
-    offset = dsnu_e * rng.standard_normal(shape)
+    response = np.maximum(1.0 + prnu * rng.standard_normal(shape), 0.0).astype(np.float32)
+    offset = (dsnu_e * rng.standard_normal(shape)).astype(np.float32)
     response.setflags(write=False)  # shared by all calls
     offset.setflags(write=False)
     return response, offset
@@ -325,32 +323,31 @@ def _fixed_pattern(
 def _expose_frame(
     detector: Detector,
     photons: NDArray[Any],
+    scale: float,
     exposure_s: float,
     rng: np.random.Generator,
-    electrons: FloatArray,
     out: NDArray[Any],
 ) -> None:
-    """Expose one frame into `out`, (V, U); `electrons` (V U,) is overwritten."""
+    """Expose one frame into `out`, (V, U)."""
     _require_photons(photons)
     shape = (photons.shape[0], photons.shape[1])
     response, offset = _fixed_pattern(detector.seed, detector.prnu, detector.dsnu_e, shape)
     light = (photons.ravel(), response.ravel())
+    efficiency = scale * detector.quantum_efficiency
     dark_e = detector.dark_current_e_per_s * exposure_s
-    if _shot_noise(*light, detector.quantum_efficiency, dark_e, rng, electrons):
-        mean = light[0] * light[1] * detector.quantum_efficiency + dark_e
-        few = mean < EXPANSION_MEAN_E
-        electrons[few] = rng.poisson(mean[few])
-    _digitise(
-        electrons,
-        offset.ravel(),
-        detector.read_noise_e,
-        detector.full_well_e,
-        1.0 / detector.e_per_dn,
-        detector.black_dn,
-        float(detector.top_dn),
-        rng,
-        out.reshape(-1),
-    )
+    read_e = detector.read_noise_e
+    least_e = EXPANSION_VARIANCE_E2 - read_e**2 if read_e >= EXPANSION_READ_NOISE_E else np.inf
+    # Single precision: a hundredth of an electron at the fullest of wells, in a third of the time.
+    charge = np.array([efficiency, dark_e, read_e**2, least_e], np.float32)
+    gain = 1.0 / detector.e_per_dn
+    levels = np.array([detector.full_well_e, gain, detector.black_dn, detector.top_dn], np.float32)
+    if _expose(*light, offset.ravel(), charge, levels, rng, out.reshape(-1)):
+        mean = light[0] * np.float64(efficiency) * light[1] + dark_e
+        few = mean < least_e
+        electrons = rng.poisson(mean[few]) + read_e * rng.standard_normal(few.sum())
+        redrawn = np.empty(electrons.size, out.dtype)
+        _digitise(electrons.astype(np.float32), offset.ravel()[few], levels, redrawn)
+        out.reshape(-1)[few] = redrawn
 
 
 @njit(nogil=True, cache=True)
@@ -361,62 +358,58 @@ def _normal(rng: Any, out: Any) -> None:
 
 
 @njit(error_model="numpy", nogil=True, cache=True)
-def _poisson_quantile(mean: Any, normal: Any, electrons: Any) -> None:
-    """Turn standard normal numbers into Poisson numbers of the given means.
+def _quantile(mean: Any, read_variance: Any, normal: Any, electrons: Any) -> None:
+    """Turn standard normal numbers into Poisson numbers of the given means plus read noise.
 
-    The quantile expansion to second order, rounded to whole electrons (M. B. Giles,
-    "Algorithm 955: approximation of the inverse Poisson cumulative distribution function",
-    ACM TOMS 42(1), 2016): floor(m + sqrt(m) z + 1/3 + z^2/6 - (z/36 + z^3/72) / sqrt(m)).
-    It costs one normal number a pixel where exact sampling costs several times as much.
+    The Cornish-Fisher expansion to second order (E. A. Cornish and R. A. Fisher, "Moments and
+    cumulants in the specification of distributions", Rev. Int. Stat. Inst. 5(4), 1938): the
+    cumulants of the sum are the mean, which all of a Poisson variable's are, and the variance
+    of the read noise besides.  All in single precision.
     """
+    one, two, three, five = np.float32(1), np.float32(2), np.float32(3), np.float32(5)
+    sixth, a, b = np.float32(1 / 6), np.float32(1 / 24), np.float32(1 / 36)
     for i in range(electrons.size):
         m, z = mean[i], normal[i]
-        root = np.sqrt(m)
+        variance = m + read_variance
+        sigma = np.sqrt(variance)
+        inverse = one / variance
+        share = m * inverse  # skewness times sigma, and excess kurtosis times its square
         square = z * z
-        quantile = m + root * z + 1.0 / 3.0 + square / 6.0 - z * (2.0 + square) / (72.0 * root)
-        electrons[i] = np.floor(quantile)
+        third = share * (square - one) * sixth
+        fourth = share * z * ((square - three) * a - share * (two * square - five) * b)
+        electrons[i] = m + sigma * (z + fourth * inverse) + third
 
 
 @njit(error_model="numpy", nogil=True, cache=True)
-def _shot_noise(
-    photons: Any, response: Any, quantum_efficiency: float, dark_e: float, rng: Any, electrons: Any
+def _digitise(electrons: Any, offset: Any, levels: Any, out: Any) -> None:
+    """Add DSNU, clip at full well, apply the gain, round once and clip."""
+    full_well_e, dn_per_e, black_dn, top_dn = levels
+    for i in range(electrons.size):
+        charge = min(electrons[i] + offset[i], full_well_e)
+        value = np.rint(black_dn + charge * dn_per_e)
+        out[i] = np.uint16(min(max(value, np.float32(0)), top_dn))
+
+
+@njit(error_model="numpy", nogil=True, cache=True)
+def _expose(
+    photons: Any, response: Any, offset: Any, charge: Any, levels: Any, rng: Any, out: Any
 ) -> bool:
-    """Draw electrons; return whether any mean is too small for the quantile expansion."""
+    """Expose all pixels by the expansion; return whether it fails for any."""
+    efficiency, dark_e, read_variance, least_e = charge
     few = 0
-    mean, normal = np.empty(_BLOCK), np.empty(_BLOCK)
-    for first in range(0, electrons.size, _BLOCK):
-        size = min(_BLOCK, electrons.size - first)
+    mean = np.empty(_BLOCK, np.float32)
+    normal, electrons = np.empty_like(mean), np.empty_like(mean)
+    for first in range(0, out.size, _BLOCK):
+        last = min(first + _BLOCK, out.size)
+        size = last - first
         for i in range(size):
-            m = photons[first + i] * response[first + i] * quantum_efficiency + dark_e
-            few += m < EXPANSION_MEAN_E
+            m = np.float32(photons[first + i]) * efficiency * response[first + i] + dark_e
+            few += m < least_e
             mean[i] = m
         _normal(rng, normal[:size])
-        _poisson_quantile(mean, normal, electrons[first : first + size])
+        _quantile(mean, read_variance, normal, electrons[:size])
+        _digitise(electrons[:size], offset[first:last], levels, out[first:last])
     return few > 0
-
-
-@njit(error_model="numpy", nogil=True, cache=True)
-def _digitise(
-    electrons: Any,
-    offset: Any,
-    read_noise_e: float,
-    full_well_e: float,
-    dn_per_e: float,
-    black_dn: float,
-    top_dn: float,
-    rng: Any,
-    out: Any,
-) -> None:
-    """Add DSNU and read noise, clip at full well, apply the gain, round once and clip."""
-    normal = np.empty(_BLOCK)
-    for first in range(0, electrons.size, _BLOCK):
-        last = min(first + _BLOCK, electrons.size)
-        _normal(rng, normal[: last - first])
-        for i in range(first, last):
-            read_e = read_noise_e * normal[i - first]
-            charge = min(electrons[i] + offset[i] + read_e, full_well_e)
-            value = np.rint(black_dn + charge * dn_per_e)
-            out[i] = np.uint16(min(max(value, 0.0), top_dn))
 
 
 def _require_positive(where: str, value: float) -> None:

@@ -11,6 +11,8 @@ anything else (lists too) is replaced.  What several scenes share thus stands on
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -310,18 +312,43 @@ def load_scene(name_or_path: str | Path, *, preview: bool = False) -> Scene:
         Naming the file and key of the first thing that cannot be used.
     """
     path = resources.find("scenes", name_or_path)
-    content = read_merged(path)
-    file = validated(_SceneFile, content, path.name, separator=": ")
-    try:
-        scene = _build(file, path, content)
-    except InputError as error:
-        if error.where.startswith(path.name):
-            raise
-        raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
+    scene, file = _load(path, _objects)
     if not preview:
         return scene
     divisor = file.preview.divisor or max(1, -(-scene.rig.camera.width // _PREVIEW_WIDTH))
     return scene.coarser(divisor, file.preview.samples)
+
+
+def load_settings(path: Path) -> Scene:
+    """Load a scene with a plane in the place of its objects, which cost most to load.
+
+    That is all that exposing frames from light transport needs, however many its objects are
+    and whether or not their files are at hand.
+
+    Raises
+    ------
+    InputError
+        As :func:`load_scene`, but for the objects.
+    """
+    return _load(path, lambda file, path: _placeholder())[0]
+
+
+@cache
+def _placeholder() -> tuple[SceneObject, ...]:
+    return (SceneObject(objects.load("plane")),)
+
+
+def _load(
+    path: Path, build_objects: Callable[[_SceneFile, Path], tuple[SceneObject, ...]]
+) -> tuple[Scene, _SceneFile]:
+    content = read_merged(path)
+    file = validated(_SceneFile, content, path.name, separator=": ")
+    try:
+        return _build(file, path, content, build_objects(file, path)), file
+    except InputError as error:
+        if error.where.startswith(path.name):
+            raise
+        raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
 
 
 def read_merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
@@ -359,13 +386,15 @@ def _merged(base: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def _build(file: _SceneFile, path: Path, content: dict[str, Any]) -> Scene:
+def _build(
+    file: _SceneFile, path: Path, content: dict[str, Any], scene_objects: tuple[SceneObject, ...]
+) -> Scene:
     rig = _rig(file, path.parent)
     panel = (rig.projector.width, rig.projector.height)
     return Scene(
         name=file.name,
         rig=rig,
-        objects=tuple(_object(file, i, path) for i in range(len(file.objects))),
+        objects=scene_objects,
         sequence=PatternSequence.parse(
             file.patterns.sequence, panel, file.patterns.shifts, file.patterns.axes
         ),
@@ -409,6 +438,10 @@ def _rig(file: _SceneFile, folder: Path) -> Rig:
     camera = Camera(**file.camera.arguments(camera_focus), pose=poses[0])
     projector = Projector(**file.projector.arguments(projector_focus), pose=poses[1])
     return Rig(camera, projector, values.volume_mm)
+
+
+def _objects(file: _SceneFile, path: Path) -> tuple[SceneObject, ...]:
+    return tuple(_object(file, index, path) for index in range(len(file.objects)))
 
 
 def _object(file: _SceneFile, index: int, path: Path) -> SceneObject:

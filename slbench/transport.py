@@ -34,8 +34,8 @@ _FORMAT = 1
 
 
 @njit(parallel=True, cache=True, nogil=True)
-def _product(indptr, indices, data, panels, out):  # type: ignore[no-untyped-def]
-    """out[k, p] += sum_j T[p, j] panels[j, k], tile by tile."""
+def _product(indptr, indices, data, panels, ambient, out):  # type: ignore[no-untyped-def]
+    """out[k, p] = ambient[p] + sum_j T[p, j] panels[j, k], tile by tile."""
     pixels, n = out.shape[1], out.shape[0]
     for tile in prange((pixels + _TILE - 1) // _TILE):
         first = tile * _TILE
@@ -48,7 +48,7 @@ def _product(indptr, indices, data, panels, out):  # type: ignore[no-untyped-def
                     sums[p - first, k] += weight * panels[column, k]
         for k in range(n):
             for p in range(first, last):
-                out[k, p] += sums[p - first, k]
+                out[k, p] = ambient[p] + sums[p - first, k]
 
 
 @njit(parallel=True, cache=True, nogil=True)
@@ -246,9 +246,10 @@ class LightTransport:
         if not np.all(np.isfinite(values)):
             raise InputError("panel profiles", "finite numbers", "others")
         out = np.empty((len(values), self.ambient.size), np.float32)
-        out[:] = self.ambient.reshape(-1)
         # Panel-major, so that one transport entry serves all patterns in one vector operation.
-        _product(rows.indptr, rows.indices, rows.data, np.ascontiguousarray(values.T), out)
+        panel_major = np.ascontiguousarray(values.T)
+        ambient = self.ambient.reshape(-1)
+        _product(rows.indptr, rows.indices, rows.data, panel_major, ambient, out)
         return out.reshape(len(values), *self.shape)
 
     def white(self) -> NDArray[np.float32]:

@@ -5,9 +5,10 @@ import pytest
 from scipy import stats
 
 from slbench.detector import (
-    EXPANSION_MEAN_E,
+    EXPANSION_READ_NOISE_E,
+    EXPANSION_VARIANCE_E2,
     Detector,
-    _poisson_quantile,
+    _quantile,
     auto_exposure_scale,
     expected_dn,
     expose,
@@ -92,16 +93,65 @@ def test_noise_model_predicts_the_temporal_variance():
         assert variance == pytest.approx(noise_model(detector).variance(mean), rel=0.02)
 
 
-@pytest.mark.parametrize("mean", [EXPANSION_MEAN_E, 137.7, 2_000.0])
-def test_shot_noise_expansion_is_poisson(mean):
-    # Deterministic: the expansion's quantiles at normal z, against the exact distribution.
-    z = np.linspace(-5, 5, 400_001)
-    counts = np.empty_like(z)
-    _poisson_quantile(np.full(z.size, mean), z, counts)
-    steps = np.flatnonzero(np.diff(counts) > 0)
-    error = stats.norm.cdf(z[steps]) - stats.poisson.cdf(counts[steps], mean)
-    # 8e-6 at a mean of 100, falling as mean^-3/2; the grid of z adds up to 1e-5.
-    assert np.abs(error).max() < 2e-5
+@pytest.mark.parametrize(
+    ("mean", "read_e"),
+    [
+        (EXPANSION_VARIANCE_E2 - 1.0, EXPANSION_READ_NOISE_E),
+        (137.7, EXPANSION_READ_NOISE_E),
+        (60.0, 6.5),
+        (0.5, 10.0),
+        (30.0, 12.0),
+        (2_000.0, 2.3),
+    ],
+)
+def test_shot_and_read_noise_in_one_draw(mean, read_e):
+    # Deterministic: the expansion's quantiles at normal z, against the exact distribution,
+    # a Poisson mixture of normal ones.
+    z = np.linspace(-5, 5, 2001, dtype=np.float32)
+    charge = np.empty_like(z)
+    _quantile(np.full_like(z, mean), np.float32(read_e**2), z, charge)
+    counts = np.arange(int(mean + 12 * np.sqrt(mean) + 30))
+    given_count = stats.norm.cdf((charge[:, None].astype(float) - counts) / read_e)
+    exact = given_count @ stats.poisson.pmf(counts, mean)
+    # 2.5e-6 where both limits meet; single precision adds 2e-5 electrons of 2,000: 4e-7.
+    assert np.abs(stats.norm.cdf(z.astype(float)) - exact).max() < 3e-6
+
+
+def test_expanded_and_exact_noise_agree():
+    # Pixels on either side of the limit, in one frame: read noise 5, means 70 and 80.
+    detector = Detector(
+        bit_depth=16,
+        full_well_e=60_000,
+        read_noise_e=5,
+        prnu=0,
+        dsnu_e=0,
+        offset_dn=100,
+        gain_e_per_dn=0.05,
+        quantum_efficiency=1.0,
+    )
+    photons = np.full((8, *SHAPE), 70.0)
+    photons[..., ::2] = 80.0
+    frames = 0.05 * (expose(detector, photons, 0.0, np.random.default_rng(14)) - 100.0)
+    for mean, part in ((70.0, frames[..., 1::2]), (80.0, frames[..., ::2])):
+        scaled = (part.ravel() - mean) / np.sqrt(mean + 25)
+        n = scaled.size
+        # Four standard errors of mean, variance and skewness (mean / sigma^3): false-alarm
+        # rate 6e-5 each.
+        assert abs(scaled.mean()) < 4 / np.sqrt(n)
+        assert abs(scaled.var() - 1) < 4 * np.sqrt(2.02 / n)
+        assert abs(stats.skew(scaled) - mean / (mean + 25) ** 1.5) < 4 * np.sqrt(6 / n)
+
+
+def test_scale_turns_radiance_into_photons():
+    radiance = np.random.default_rng(15).uniform(0, 3, (2, 60, 80))
+    for noise in (True, False):
+        wanted, scaled = (
+            expose(Detector(), light, 0.01, np.random.default_rng(16), noise, scale)
+            for light, scale in ((radiance * 1e4, 1.0), (radiance, 1e4))
+        )
+        # The order of multiplication may move a value across a rounding step.
+        assert np.mean(wanted != scaled) < 1e-3
+        assert np.abs(wanted.astype(int) - scaled).max() <= 1
 
 
 def test_few_electrons_are_exactly_poisson():

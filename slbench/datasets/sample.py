@@ -22,6 +22,7 @@ import re
 import shutil
 import tempfile
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -46,6 +47,8 @@ REQUIRED = (SCENE, RIG, TRANSPORT, TRUTH, SCORE, PROVENANCE)
 _CAPTURE = re.compile(r"(p[0-9]+r[0-9]+)\.capture\.toml")
 #: Bits of a float32's mantissa: with all of them the stored weights are the traced ones.
 EXACT_BITS = 23
+#: What is left of an array of the transport at most, for it to be worth deflating.
+_DEFLATED = 0.75
 
 
 def capture_prefix(pattern_set: int, repeat: int) -> str:
@@ -97,16 +100,19 @@ def rounded(transport: LightTransport, bits: int) -> LightTransport:
 
 
 def write_transport(path: Path, transport: LightTransport) -> None:
-    """Write light transport deflated; :meth:`LightTransport.load` reads it."""
+    """Write light transport, deflated where that pays; :meth:`LightTransport.load` reads it.
+
+    The weights' mantissas are noise: the fastest level makes the file as small as the best,
+    and all of them deflate by a tenth only, which would take most of the time to read them.
+    """
     raw = path.with_name(f"raw-{path.name}")
     transport.save(raw)
-    with (
-        zipfile.ZipFile(raw) as source,
-        # The weights' mantissas are noise: the fastest level makes the file as small as the best.
-        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as target,
-    ):
+    with zipfile.ZipFile(raw) as source, zipfile.ZipFile(path, "w", compresslevel=1) as target:
         for name in source.namelist():
-            target.writestr(zipfile.ZipInfo(name), source.read(name), zipfile.ZIP_DEFLATED)
+            content = source.read(name)
+            pays = len(zlib.compress(content, 1)) < _DEFLATED * len(content)
+            method = zipfile.ZIP_DEFLATED if pays else zipfile.ZIP_STORED
+            target.writestr(zipfile.ZipInfo(name), content, method)
     raw.unlink()
 
 

@@ -87,13 +87,12 @@ def unpack(sample: int, content: bytes, where: str) -> dict[str, bytes]:
     """
     members: dict[str, bytes] = {}
     try:
-        with tarfile.open(fileobj=io.BytesIO(content + END), mode="r:") as archive:
+        with tarfile.open(fileobj=io.BytesIO(content), mode="r:") as archive:
             for entry in archive:
                 match = _ENTRY.fullmatch(entry.name)
-                stream = archive.extractfile(entry) if entry.isfile() else None
-                if match is None or stream is None or match[1] != key(sample):
+                if match is None or not entry.isfile() or match[1] != key(sample):
                     raise InputError(where, f"files of sample {key(sample)}", repr(entry.name))
-                members[match[2]] = stream.read()
+                members[match[2]] = content[entry.offset_data : entry.offset_data + entry.size]
     except tarfile.TarError as error:
         raise InputError(where, "tar entries", f"damaged ones ({error})") from error
     if not members or sum(map(len, members.values())) > len(content):

@@ -6,7 +6,6 @@ when a part of it is first asked for.
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -22,20 +21,17 @@ from slbench.datasets import sample, shards
 from slbench.datasets.storage import Storage
 from slbench.detector import Detector
 from slbench.errors import InputError
-from slbench.io import read_json, write_toml
+from slbench.io import read_json
 from slbench.patterns import PatternSequence
 from slbench.rig import Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene import Exposure, Scene
-from slbench.scenefile import load_scene
+from slbench.scenefile import load_scene, load_settings
 from slbench.transport import LightTransport
 from slbench.truth import GroundTruth
 
 T = TypeVar("T")
 Row = Mapping[str, Any]
-
-#: Stands for the objects of a scene whose light is at hand already: they cost most to load.
-_PLACEHOLDER = [{"artefact": "plane"}]
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,11 +210,9 @@ class Sample:
     @cached_property
     def _settings(self) -> Scene:
         """The scene without its objects: all that an exposure from transport needs."""
-        content = tomllib.loads(self.member(sample.SCENE).decode())
-        kept = {name: self.members[name] for name in (sample.RIG,) if name in self.members}
+        kept = {sample.SCENE: self.member(sample.SCENE), sample.RIG: self.member(sample.RIG)}
         with self._blamed(sample.SCENE), sample.unpacked(kept) as folder:
-            write_toml(folder / sample.SCENE, content | {"objects": _PLACEHOLDER})
-            return load_scene(folder / sample.SCENE)
+            return load_settings(folder / sample.SCENE)
 
     @cached_property
     def _light(self) -> tuple[float, float]:

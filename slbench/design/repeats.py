@@ -123,10 +123,9 @@ def _frames(
     few = np.empty((scene.sequence.n_frames, 1, len(pixels)), np.float32)
     for indices, radiance in radiance_batches(scene, transport):
         few[indices, 0] = radiance.reshape(len(radiance), -1)[:, pixels]
-    few *= np.float32(factor)
     for r in range(repeats):
         rng = np.random.default_rng([tagged_seed(seed, r), 1])
-        yield expose(scene.detector, few, exposure_s, rng)[:, 0]
+        yield expose(scene.detector, few, exposure_s, rng, scale=factor)[:, 0]
 
 
 def _fused_frames(

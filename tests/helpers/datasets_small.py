@@ -19,7 +19,7 @@ from slbench.datasets.manifest import MANIFEST, Manifest
 from slbench.datasets.storage import Storage
 from slbench.rig.opencv import write_rig
 from slbench.scan import Scan, scan
-from slbench.scenefile import load_scene, read_merged
+from slbench.scenefile import extended, load_scene
 
 COUNT, PER_SHARD, FAILED = 9, 5, 4
 PATTERNS = "1,8@3"
@@ -28,10 +28,7 @@ DRAWN = {"height_mm": "double", "ambient": "double"}
 
 def specification(number: int) -> dict[str, Any]:
     """Return the scene file's content of a sample."""
-    path = Path(tempfile.gettempdir()) / "slbench-small-base.toml"
-    path.write_text(tomli_w.dumps({"extends": "hardware/macro-ch6", "name": "base"}))
-    content = read_merged(path)
-    path.unlink()
+    content = extended({"extends": "hardware/macro-ch6"}, Path("small.toml"))
     block = {"heights_mm": [height(number)], "step_length_mm": 25.0, "width_mm": 40.0}
     content |= {
         "name": f"small-{number}",
