@@ -270,10 +270,11 @@ def test_with_much_noise_the_set_between_decides_and_the_design_finds_it(grainy)
     measured = two_step_deviations(blurred, noise, 10, [design.fringes for design in designs])
     two_step = {s: value for s, value in measured.items() if len(s) == 3}
     best = min(two_step, key=two_step.__getitem__)
-    # To the same last set, other sets between are worse by 3 % to a factor of two and more.
+    # To the same last set, other sets between are worse by 2 % to a factor of two and more,
+    # where noise leaves ratios of equal sets within a few thousandths of 1.
     alike = [value / two_step[best] for s, value in two_step.items() if s[-1] == best[-1]]
     assert len(alike) >= 5
-    assert sum(value > 1.03 for value in alike) >= 3
+    assert sum(value > 1.01 for value in alike) >= 3
     assert max(alike) > 2.0
     for design in designs:
         assert measured[design.fringes] <= 1.05 * two_step[best]
