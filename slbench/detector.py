@@ -244,17 +244,16 @@ def expose(
     _require_positive("expose: scale", scale)
     frames = stack.reshape(-1, *stack.shape[-2:])
     out = np.empty(frames.shape, np.uint8 if detector.bit_depth == 8 else np.uint16)
-    if not noise:
-        for k, frame in enumerate(frames):
-            out[k] = np.rint(expected_dn(detector, frame * scale, exposure_s))
-        return out.reshape(stack.shape)
-    if not isinstance(rng, np.random.Generator):
+    if noise and not isinstance(rng, np.random.Generator):
         raise InputError("expose: rng", "a numpy.random.Generator", type(rng).__name__)
+    streams = rng.spawn(len(frames)) if noise and rng is not None else []
 
     def expose_frame(k: int) -> None:
-        _expose_frame(detector, frames[k], scale, exposure_s, streams[k], out[k])
+        if noise:
+            _expose_frame(detector, frames[k], scale, exposure_s, streams[k], out[k])
+        else:
+            out[k] = np.rint(expected_dn(detector, frames[k] * scale, exposure_s))
 
-    streams = rng.spawn(len(frames))
     with ThreadPoolExecutor(min(len(frames), os.cpu_count() or 1)) as pool:
         list(pool.map(expose_frame, range(len(frames))))  # releases the interpreter lock
     return out.reshape(stack.shape)

@@ -301,8 +301,9 @@ class LightTransport:
             "ambient": self.ambient,
         }
         for name, rows in self.marginals.items():
-            # Row lengths take half the room of row starts.
-            arrays[f"{name}_counts"] = np.diff(rows.indptr).astype(np.uint32)
+            # Row lengths are small numbers: a byte or two each, where row starts take eight.
+            counts = np.diff(rows.indptr)
+            arrays[f"{name}_counts"] = counts.astype(np.min_scalar_type(counts.max(initial=0)))
             arrays[f"{name}_indices"] = rows.indices
             arrays[f"{name}_data"] = rows.data
         write_npz(path, **arrays)

@@ -47,8 +47,10 @@ REQUIRED = (SCENE, RIG, TRANSPORT, TRUTH, SCORE, PROVENANCE)
 _CAPTURE = re.compile(r"(p[0-9]+r[0-9]+)\.capture\.toml")
 #: Bits of a float32's mantissa: with all of them the stored weights are the traced ones.
 EXACT_BITS = 23
-#: What is left of an array of the transport at most, for it to be worth deflating.
+#: What is left of an array of the transport at most, for it to be worth deflating, and how many
+#: of its first bytes are tried.
 _DEFLATED = 0.75
+_PROBED = 1 << 18
 
 
 def capture_prefix(pattern_set: int, repeat: int) -> str:
@@ -110,7 +112,8 @@ def write_transport(path: Path, transport: LightTransport) -> None:
     with zipfile.ZipFile(raw) as source, zipfile.ZipFile(path, "w", compresslevel=1) as target:
         for name in source.namelist():
             content = source.read(name)
-            pays = len(zlib.compress(content, 1)) < _DEFLATED * len(content)
+            start = content[:_PROBED]
+            pays = len(zlib.compress(start, 1)) < _DEFLATED * len(start)
             method = zipfile.ZIP_DEFLATED if pays else zipfile.ZIP_STORED
             target.writestr(zipfile.ZipInfo(name), content, method)
     raw.unlink()
