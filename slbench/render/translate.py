@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -112,9 +113,18 @@ def shapes(objects: Iterable[SceneObject]) -> list[Shape]:
 
 
 def geometry(scene: Scene) -> Any:
-    """Return a Mitsuba scene of :func:`shapes` alone."""
+    """Return a Mitsuba scene of :func:`shapes` alone.
+
+    The last one is kept: truth, light and every setting of a focus stack see the same objects,
+    and building their meshes and trees takes as long as tracing a small picture.
+    """
+    return _geometry(scene.objects, mi.variant())
+
+
+@lru_cache(maxsize=1)  # objects are equal only if they are the same
+def _geometry(objects: tuple[SceneObject, ...], variant: str) -> Any:
     register()
-    meshes = {shape.name: shape.mesh() for shape in shapes(scene.objects)}
+    meshes = {shape.name: shape.mesh() for shape in shapes(objects)}
     return mi.load_dict({"type": "scene", **meshes}, parallel=False, optimize=False)
 
 

@@ -19,7 +19,10 @@ from helpers_scene import (
 
 from slbench.errors import InputError
 from slbench.materials import Material
+from slbench.render import translate
+from slbench.render.groundtruth import ground_truth
 from slbench.render.mitsuba import dr, mi
+from slbench.render.trace import trace
 from slbench.render.translate import (
     beyond_stock,
     bsdf_dict,
@@ -180,6 +183,28 @@ class TestGeometry:
         np.testing.assert_allclose(height[1], -5.0, atol=1e-4)  # the plate's top face
         assert height[0] > -5.0
         np.testing.assert_allclose(si.sh_frame.n.numpy()[2], 1.0, atol=1e-6)
+
+    def test_light_and_truth_do_not_depend_on_what_was_there_before(self):
+        """The geometry of the last scene is kept: bits must not change with what that was."""
+        value = stock_scene(bounces=1)
+        other = replace(value, objects=(value.objects[1],))
+        other_rig = replace(value, rig=step_scene(camera(2.0), PLAIN).rig)
+
+        def bits(anew):
+            if anew:
+                translate._geometry.cache_clear()
+            rows = trace(value, ("u",), seed=3).marginals["u"]
+            truth = ground_truth(value)
+            return rows.indices.tobytes(), rows.data.tobytes(), truth.point.tobytes()
+
+        expected = bits(anew=True)
+        assert bits(anew=False) == expected
+        trace(other, ("u",))
+        assert geometry(other) is geometry(replace(other, samples=1))
+        assert bits(anew=False) == expected
+        trace(other_rig, ("u",))  # the same objects
+        assert bits(anew=False) == expected
+        assert geometry(value) is not geometry(stock_scene())
 
     def test_pose_matrix(self):
         pose = Rig.from_design(CONFIGURATION_5, camera(), PLAIN).camera.pose
