@@ -36,11 +36,17 @@ PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_PER_S = 299792458.0
 BIT_DEPTHS = (8, 10, 12, 14, 16)
 
-# From this variance on, and from this read noise on, which hides that electrons are whole, one
-# draw (`_quantile`) serves shot and read noise: its distribution function is then within 3e-6 of
-# the exact one.  Elsewhere both are drawn, shot noise by NumPy's exact sampler.
-EXPANSION_VARIANCE_E2 = 100.0
+# From this read noise on it hides that electrons are whole, and one draw (`_quantile`) serves shot
+# and read noise; below, each has its own.
 EXPANSION_READ_NOISE_E = 1.0
+# From this variance on the distribution function of `_quantile` is within 3e-6 of the exact one,
+# 1e-5 for whole electrons; below, NumPy's exact sampler draws shot noise.
+EXPANSION_VARIANCE_E2 = 100.0
+# Whole electrons are what a continuous variable is rounded to; rounding adds this to its variance
+# (W. F. Sheppard's correction).
+_ROUNDING_VARIANCE = 1.0 / 12.0
+# More than fits in any well, and what single precision can square.
+_MOST_E = 1e12
 
 #: Normal numbers drawn at a time: what is done with them is then vectorised, in the cache.
 _BLOCK = 1024
@@ -132,7 +138,8 @@ class Detector:
     @property
     def saturation_dn(self) -> int:
         """Digital number of a full well, or the top of the range where that is less."""
-        return min(self.top_dn, int(self.black_dn + self.full_well_e / self.e_per_dn))
+        level = self.black_dn + self.full_well_e / self.e_per_dn
+        return min(self.top_dn, int(level + 1e-6))  # the quotient may be an ulp short
 
     @property
     def e_per_dn(self) -> float:
@@ -242,6 +249,8 @@ def expose(
         raise InputError("expose: photons", "real numbers of shape (..., V, U)", stack.shape)
     _require_exposure(exposure_s)
     _require_positive("expose: scale", scale)
+    if stack.dtype not in (np.float32, np.float64):
+        stack = stack.astype(np.float64)
     frames = stack.reshape(-1, *stack.shape[-2:])
     out = np.empty(frames.shape, np.uint8 if detector.bit_depth == 8 else np.uint16)
     if noise and not isinstance(rng, np.random.Generator):
@@ -335,12 +344,13 @@ def _expose_frame(
     efficiency = scale * detector.quantum_efficiency
     dark_e = detector.dark_current_e_per_s * exposure_s
     read_e = detector.read_noise_e
-    least_e = EXPANSION_VARIANCE_E2 - read_e**2 if read_e >= EXPANSION_READ_NOISE_E else np.inf
+    smooth = read_e >= EXPANSION_READ_NOISE_E
+    least_e = EXPANSION_VARIANCE_E2 - (read_e**2 if smooth else 0.0)
     # Single precision: a hundredth of an electron at the fullest of wells, in a third of the time.
-    charge = np.array([efficiency, dark_e, read_e**2, least_e], np.float32)
+    charge = np.array([efficiency, dark_e, read_e, least_e], np.float32)
     gain = 1.0 / detector.e_per_dn
     levels = np.array([detector.full_well_e, gain, detector.black_dn, detector.top_dn], np.float32)
-    if _expose(*light, offset.ravel(), charge, levels, rng, out.reshape(-1)):
+    if _expose(*light, offset.ravel(), charge, smooth, levels, rng, out.reshape(-1)):
         mean = light[0] * np.float64(efficiency) * light[1] + dark_e
         few = mean < least_e
         electrons = rng.poisson(mean[few]) + read_e * rng.standard_normal(few.sum())
@@ -357,19 +367,19 @@ def _normal(rng: Any, out: Any) -> None:
 
 
 @njit(error_model="numpy", nogil=True, cache=True)
-def _quantile(mean: Any, read_variance: Any, normal: Any, electrons: Any) -> None:
-    """Turn standard normal numbers into Poisson numbers of the given means plus read noise.
+def _quantile(mean: Any, added_variance: Any, normal: Any, electrons: Any) -> None:
+    """Turn standard normal numbers into Poisson numbers of the given means plus normal ones.
 
     The Cornish-Fisher expansion to second order (E. A. Cornish and R. A. Fisher, "Moments and
     cumulants in the specification of distributions", Rev. Int. Stat. Inst. 5(4), 1938): the
     cumulants of the sum are the mean, which all of a Poisson variable's are, and the variance
-    of the read noise besides.  All in single precision.
+    of what is added besides.  All in single precision.
     """
     one, two, three, five = np.float32(1), np.float32(2), np.float32(3), np.float32(5)
     sixth, a, b = np.float32(1 / 6), np.float32(1 / 24), np.float32(1 / 36)
     for i in range(electrons.size):
         m, z = mean[i], normal[i]
-        variance = m + read_variance
+        variance = m + added_variance
         sigma = np.sqrt(variance)
         inverse = one / variance
         share = m * inverse  # skewness times sigma, and excess kurtosis times its square
@@ -391,10 +401,19 @@ def _digitise(electrons: Any, offset: Any, levels: Any, out: Any) -> None:
 
 @njit(error_model="numpy", nogil=True, cache=True)
 def _expose(
-    photons: Any, response: Any, offset: Any, charge: Any, levels: Any, rng: Any, out: Any
+    photons: Any,
+    response: Any,
+    offset: Any,
+    charge: Any,
+    smooth: bool,
+    levels: Any,
+    rng: Any,
+    out: Any,
 ) -> bool:
     """Expose all pixels by the expansion; return whether it fails for any."""
-    efficiency, dark_e, read_variance, least_e = charge
+    efficiency, dark_e, read_e, least_e = charge
+    variance = read_e * read_e if smooth else np.float32(-_ROUNDING_VARIANCE)
+    most_e = np.float32(_MOST_E)
     few = 0
     mean = np.empty(_BLOCK, np.float32)
     normal, electrons = np.empty_like(mean), np.empty_like(mean)
@@ -404,9 +423,13 @@ def _expose(
         for i in range(size):
             m = np.float32(photons[first + i]) * efficiency * response[first + i] + dark_e
             few += m < least_e
-            mean[i] = m
+            mean[i] = m if m < most_e else most_e
         _normal(rng, normal[:size])
-        _quantile(mean, read_variance, normal, electrons[:size])
+        _quantile(mean, variance, normal, electrons[:size])
+        if not smooth:
+            _normal(rng, normal[:size])
+            for i in range(size):
+                electrons[i] = np.rint(electrons[i]) + read_e * normal[i]
         _digitise(electrons[:size], offset[first:last], levels, out[first:last])
     return few > 0
 

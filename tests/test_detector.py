@@ -5,6 +5,7 @@ import pytest
 from scipy import stats
 
 from slbench.detector import (
+    _ROUNDING_VARIANCE,
     EXPANSION_READ_NOISE_E,
     EXPANSION_VARIANCE_E2,
     Detector,
@@ -117,29 +118,67 @@ def test_shot_and_read_noise_in_one_draw(mean, read_e):
     assert np.abs(stats.norm.cdf(z.astype(float)) - exact).max() < 3e-6
 
 
-def test_expanded_and_exact_noise_agree():
-    # Pixels on either side of the limit, in one frame: read noise 5, means 70 and 80.
+@pytest.mark.parametrize("mean", [EXPANSION_VARIANCE_E2, 137.7, 2_000.0])
+def test_whole_electrons_are_poisson(mean):
+    # Deterministic: the expansion rounded, at normal z, against the exact distribution.
+    z = np.linspace(-5, 5, 400_001)
+    charge = np.empty(z.size, np.float32)
+    added = np.float32(-_ROUNDING_VARIANCE)
+    _quantile(np.full_like(charge, mean), added, z.astype(np.float32), charge)
+    counts = np.rint(charge)
+    steps = np.flatnonzero(np.diff(counts) > 0)
+    error = stats.norm.cdf(z[steps]) - stats.poisson.cdf(counts[steps], mean)
+    # 8e-6 at a mean of 100, falling as mean^-3/2; the grid of z adds up to 1e-5.
+    assert np.abs(error).max() < 2e-5
+
+
+@pytest.mark.parametrize(("read_e", "means"), [(5, (70.0, 80.0)), (0.3, (95.0, 105.0))])
+def test_expanded_and_exact_noise_agree(read_e, means):
+    # Pixels on either side of the limit, in one frame.
     detector = Detector(
         bit_depth=16,
         full_well_e=60_000,
-        read_noise_e=5,
+        read_noise_e=read_e,
         prnu=0,
         dsnu_e=0,
         offset_dn=100,
         gain_e_per_dn=0.05,
         quantum_efficiency=1.0,
     )
-    photons = np.full((8, *SHAPE), 70.0)
-    photons[..., ::2] = 80.0
+    photons = np.full((8, *SHAPE), means[0])
+    photons[..., ::2] = means[1]
     frames = 0.05 * (expose(detector, photons, 0.0, np.random.default_rng(14)) - 100.0)
-    for mean, part in ((70.0, frames[..., 1::2]), (80.0, frames[..., ::2])):
-        scaled = (part.ravel() - mean) / np.sqrt(mean + 25)
+    for mean, part in zip(means, (frames[..., 1::2], frames[..., ::2]), strict=True):
+        sigma = np.sqrt(mean + read_e**2)
+        scaled = (part.ravel() - mean) / sigma
         n = scaled.size
         # Four standard errors of mean, variance and skewness (mean / sigma^3): false-alarm
         # rate 6e-5 each.
         assert abs(scaled.mean()) < 4 / np.sqrt(n)
         assert abs(scaled.var() - 1) < 4 * np.sqrt(2.02 / n)
-        assert abs(stats.skew(scaled) - mean / (mean + 25) ** 1.5) < 4 * np.sqrt(6 / n)
+        assert abs(stats.skew(scaled) - mean / sigma**3) < 4 * np.sqrt(6 / n)
+
+
+@pytest.mark.parametrize("read_e", [0.0, 12.0])
+@pytest.mark.parametrize("photons", [1e30, 1e39, 1e300])
+def test_any_light_saturates(photons, read_e):
+    detector = Detector(read_noise_e=read_e, gain_e_per_dn=50.0)
+    frames = expose(detector, np.full(SHAPE, photons), 0.0, np.random.default_rng(0))
+    # DSNU and noise are clipped with the well: 16,000 / 50 is beyond the top of 8 bit.
+    assert frames.min() == 255
+
+
+def test_any_kind_of_number_is_exposed_alike():
+    photons = np.round(np.random.default_rng(3).uniform(0, 30_000, (2, 30, 40)))
+    wanted = expose(Detector(), photons, 0.01, np.random.default_rng(4))
+    for kind in (np.float32, np.uint16, np.int64, ">f4", ">f8", ">u2", np.longdouble):
+        found = expose(Detector(), photons.astype(kind), 0.01, np.random.default_rng(4))
+        np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("full_well_e", [1500.0, 3000.0, 12_000.0, 16_000.0, 18_500.0])
+def test_a_full_well_that_meets_the_top_saturates_there(full_well_e):
+    assert Detector(full_well_e=full_well_e).saturation_dn == 255
 
 
 def test_scale_turns_radiance_into_photons():

@@ -63,6 +63,19 @@ def test_atomic_path_does_not_show_the_file_before_it_is_complete(tmp_path):
     assert os.listdir(path.parent) == ["a.txt"]
 
 
+def test_a_folder_that_is_there_is_filled_from_within(tmp_path):
+    # It may be a mount or a home directory: nothing can be renamed into it from beside it, or
+    # nothing be written there.
+    (tmp_path / "kept").write_text("x")
+    with io.atomic_folder(tmp_path) as temporary:
+        assert temporary.parent == tmp_path
+        (temporary / "new").write_text("y")
+        assert sorted(os.listdir(tmp_path)) == sorted([temporary.name, "kept"])
+    assert sorted(os.listdir(tmp_path)) == ["kept", "new"]
+    with io.atomic_folder(tmp_path / "fresh") as temporary:
+        assert temporary.parent == tmp_path
+
+
 def test_written_files_have_the_permissions_of_ordinary_ones(tmp_path):
     (tmp_path / "ordinary").write_text("x")
     io.write_json(tmp_path / "ours.json", 1)

@@ -83,7 +83,10 @@ def atomic_folder(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     if path.exists() and not path.is_dir():
         raise InputError(path, "a folder", "a file")
-    temporary = path.parent / f".{path.name or 'out'}.{secrets.token_hex(6)}"
+    # Within a folder that is there: it may be where another file system begins, or all of what
+    # its owner may write to.
+    beside = path if path.is_dir() else path.parent
+    temporary = beside / f".{path.name or 'out'}.{secrets.token_hex(6)}"
     try:
         temporary.mkdir(parents=True)
     except OSError as error:
