@@ -64,6 +64,7 @@ _KEYS = {
     "format",
     "bit_depth",
     "saturation_dn",
+    "min_modulation_dn",
     "frames",
     "rig",
     "patterns",
@@ -95,6 +96,8 @@ class Capture:
     exposure_s : float or None
     saturation_dn : int or None
         Digital number at and above which a pixel is saturated; None is the top of the range.
+    min_modulation_dn : float or None
+        Least modulation of a pixel that is measured; None is the decoder's own limit.
     """
 
     frames: NDArray[Any]
@@ -104,6 +107,7 @@ class Capture:
     rig: Rig | None = None
     exposure_s: float | None = None
     saturation_dn: int | None = None
+    min_modulation_dn: float | None = None
 
     def __post_init__(self) -> None:
         frames = self.frames
@@ -126,6 +130,9 @@ class Capture:
         time = self.exposure_s
         if time is not None and not 0 < time < np.inf:
             raise InputError("exposure", "a positive time", f"{time} s")
+        least = self.min_modulation_dn
+        if least is not None and (type(least) not in (int, float) or not 0 <= least <= top):
+            raise InputError("min_modulation_dn", f"a number from 0 to {top}", repr(least))
         if frames.dtype.itemsize * 8 < self.bit_depth:
             raise InputError("capture frames", f"{self.bit_depth} bit frames", frames.dtype)
         if self.rig is not None:
@@ -133,6 +140,8 @@ class Capture:
 
     def decode(self, **options: Any) -> PhaseMap:
         """Decode the frames; `options` as for :func:`slbench.patterns.decode`."""
+        if self.min_modulation_dn is not None:
+            options.setdefault("min_modulation", self.min_modulation_dn)
         return decode(
             self.frames,
             self.sequence,
@@ -156,6 +165,8 @@ class Capture:
         }
         if self.saturation_dn is not None:
             manifest["saturation_dn"] = self.saturation_dn
+        if self.min_modulation_dn is not None:
+            manifest["min_modulation_dn"] = self.min_modulation_dn
         if self.exposure_s is not None:
             manifest["exposure_ms"] = self.exposure_s * 1e3
         if self.noise is not None:
@@ -199,7 +210,8 @@ class Capture:
                 raise InputError("exposure_ms", "a number", repr(exposure))
             time = None if exposure is None else float(exposure) * 1e-3
             saturation = manifest.get("saturation_dn")
-            return cls(frames, sequence, bits, noise, rig, time, saturation)
+            least = manifest.get("min_modulation_dn")
+            return cls(frames, sequence, bits, noise, rig, time, saturation, least)
         except InputError as error:
             raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
 

@@ -26,8 +26,16 @@ from slbench.capture import MANIFEST as CAPTURE_MANIFEST
 from slbench.capture import Capture
 from slbench.errors import InputError
 from slbench.fusion import Alignment, FusionWeights, selective_weights
+from slbench.fusion.measures import check_window
 from slbench.io import read_grey, read_toml, write_toml
-from slbench.patterns import Flat, Fringes, NoiseModel, PhaseMap, relative_phase
+from slbench.patterns import (
+    MIN_MODULATION_DN,
+    Flat,
+    Fringes,
+    NoiseModel,
+    PhaseMap,
+    relative_phase,
+)
 from slbench.scene import Focus
 
 Array = NDArray[np.float64]
@@ -61,9 +69,13 @@ class FusedCapture:
     weights: FusionWeights
 
     def decode(self, **options: Any) -> PhaseMap:
-        """Decode the fused frames; deviations are lessened by what the average gains."""
+        """Decode the fused frames; deviations are lessened by what the average gains.
+
+        Where the fusion does not say (:class:`slbench.fusion.PyramidSelection`) they are those
+        of a single frame.
+        """
         phase = self.capture.decode(**options)
-        gain = self.weights.noise_gain
+        gain = getattr(self.weights, "noise_gain", 1.0)
         return replace(phase, sigma={axis: gain * sigma for axis, sigma in phase.sigma.items()})
 
 
@@ -190,10 +202,11 @@ class FocusStack:
             frames,
             first.sequence,
             _BITS,
-            None if first.noise is None else _scaled(first.noise, scale),
+            _scaled(first.noise or NoiseModel(), scale),
             first.rig,
             first.exposure_s,
             int(scale * saturation),
+            scale * (first.min_modulation_dn or MIN_MODULATION_DN),
         )
         return FusedCapture(capture, weights)
 
@@ -320,8 +333,7 @@ def modulation_weights(stack: FocusStack, window: int = 9) -> FusionWeights:
     sets = [(part.count, i) for i, part in enumerate(sequence.parts) if isinstance(part, Fringes)]
     if not sets:
         raise InputError("focus stack", "fringes, for weights by modulation", sequence.name)
-    if window < 1 or window % 2 == 0:
-        raise InputError("window", "an odd number of pixels", window)
+    check_window(window, 1)
     finest = max(sets)[1]
     own = [k for k, frame in enumerate(sequence.frames()) if frame.part_index == finest]
     waves: list[NDArray[np.complex64]] = []

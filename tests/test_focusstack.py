@@ -11,6 +11,7 @@ from slbench import objects
 from slbench.capture import Capture, exposure
 from slbench.errors import InputError
 from slbench.focusstack import FocusStack, modulation_weights
+from slbench.fusion import pyramid_selection
 from slbench.fusionscore import compare_fusions
 from slbench.io import read_toml, write_toml
 from slbench.materials import PRESETS
@@ -231,6 +232,46 @@ def test_fused_deviations_are_predicted():
     assert scatter == pytest.approx(expected, rel=0.03)
     single = coloured(modulation=60.0, sigma=3.0).decode().sigma["u"]
     assert expected < 0.75 * np.nanmedian(single)
+
+
+def test_fused_photographs_keep_the_limits_of_their_depth(tmp_path):
+    """Without a noise model: 16-bit frames of 8-bit pictures are no better for their bits."""
+    rng = np.random.default_rng(5)
+    captures = []
+    for seed in range(2):
+        shot = coloured(seed=seed, sigma=1.0)
+        frames = shot.frames.copy()
+        dark = rng.integers(9, 12, (len(frames), 24, 16)).astype(
+            np.uint8
+        )  # noise of 1 DN, no light
+        frames[:, :, :16] = dark
+        captures.append(replace(shot, frames=frames, noise=None))
+    one = captures[0].decode()
+    fused = FocusStack(captures).fuse_with(modulation_weights(FocusStack(captures), 3))
+    both = fused.decode()
+    # Of 3 DN by 1 DN of noise: none in one picture.  Shadows are not measured by fusing.
+    assert one.mask[:, :16].mean() < 0.02
+    assert both.mask[:, :16].mean() < 0.02
+    assert both.mask[:, 17:].all()
+    ratio = np.nanmedian(both.sigma["u"][:, 17:]) / np.nanmedian(one.sigma["u"][:, 17:])
+    # Two equal frames, where rounding to 16 bit adds nothing to that to 8 bit.
+    assert ratio == pytest.approx(np.sqrt(0.5), rel=0.02)
+    fused.capture.save(tmp_path)
+    loaded = Capture.load(tmp_path)
+    assert loaded.min_modulation_dn == 3 * 256
+    np.testing.assert_array_equal(loaded.decode().mask, both.mask)
+    assert loaded.decode(min_modulation=0.0).mask.sum() >= both.mask.sum()
+
+
+def test_a_pyramid_fuses_and_decodes():
+    captures = [coloured(seed=seed, sigma=1.0) for seed in range(2)]
+    stack = FocusStack(captures)
+    fused = stack.fuse_with(pyramid_selection(stack.lit()))
+    phase = fused.decode()
+    assert phase.mask.all()
+    np.testing.assert_allclose(
+        np.median(phase.sigma["u"]), np.median(captures[0].decode().sigma["u"]), rtol=0.05
+    )
 
 
 def test_saturated_frames_leave_saturated_pixels():

@@ -62,7 +62,7 @@ def fuse(
     if (folder / MANIFEST).exists():
         _fuse_stack(folder, out, method, measure, align, variant, window, as_json)
         return
-    _check_choices(method, align)
+    _check_choices(method, align, measure, variant, window)
     _check_out(out, folder)
     photographs = Photographs.open(folder)
     begin = time.perf_counter()
@@ -111,12 +111,12 @@ def _fuse_stack(
     from slbench.focusstack import FocusStack, modulation_weights
 
     if method != "modulation":
-        _check_choices(method, align)
+        _check_choices(method, align, measure, variant, window)
     elif align != "none":
         raise InputError("--align", "none, as modulation has no lit frames to align", align)
     check_folder(out)
-    if out.absolute().resolve() == folder.absolute().resolve():
-        raise InputError("--out", "another folder than the stack's", out)
+    if out.absolute().resolve().is_relative_to(folder.absolute().resolve()):
+        raise InputError("--out", "a folder outside the stack's", out)
     stack = FocusStack.load(folder)
     begin = time.perf_counter()
     alignment = None
@@ -156,12 +156,18 @@ def _fuse_stack(
         print(f"{key}: {value:.2f}" if isinstance(value, float) else f"{key}: {value}")
 
 
-def _check_choices(method: str, align: str) -> None:
-    """Refuse a method or an alignment that there is not."""
+def _check_choices(method: str, align: str, measure: str, variant: str, window: int) -> None:
+    """Refuse what there is not before frames are aligned, which takes long."""
+    from slbench.fusion.measures import check_measure
+    from slbench.fusion.selective import VARIANTS
+
     if method not in METHODS:
         raise InputError("--method", f"one of {', '.join(METHODS)}", method)
     if align not in ALIGNMENTS:
         raise InputError("--align", f"one of {', '.join(ALIGNMENTS)}", align)
+    check_measure(measure, window)
+    if variant not in VARIANTS:
+        raise InputError("variant", f"one of {', '.join(VARIANTS)}", variant)
 
 
 def _check_out(out: Path, folder: Path) -> None:

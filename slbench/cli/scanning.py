@@ -162,8 +162,9 @@ def decode(
     ] = None,
     rig: Annotated[Path | None, typer.Option(help="Rig (OpenCV YAML) to triangulate with.")] = None,
     min_modulation: Annotated[
-        float, typer.Option(min=0.0, help="Least modulation of a valid pixel, DN.")
-    ] = 3.0,
+        float | None,
+        typer.Option(min=0.0, help="Least modulation of a valid pixel, DN; 3, or the capture's."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Decode frames from disk, simulated or photographed, and triangulate where a rig is known."""
@@ -177,7 +178,8 @@ def decode(
     shots = Capture.load(folder)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig))
-    phase = shots.decode(min_modulation=min_modulation)
+    limit = {} if min_modulation is None else {"min_modulation": min_modulation}
+    phase = shots.decode(**limit)
     channels = {
         "modulation": phase.modulation,
         "mean": phase.mean,

@@ -63,8 +63,14 @@ def check_measure(measure: str, window: int) -> None:
     """Refuse an unknown measure and a window without a centre."""
     if measure not in MEASURES:
         raise InputError("measure", f"one of {', '.join(MEASURES)}", measure)
-    if isinstance(window, bool) or window != int(window) or window < 3 or window % 2 == 0:
-        raise InputError("window", "an odd number of pixels, at least 3", window)
+    check_window(window, 3)
+
+
+def check_window(window: int, least: int) -> None:
+    """Refuse a window without a centre."""
+    whole = isinstance(window, (int, np.integer)) and not isinstance(window, bool)
+    if not whole or window < least or window % 2 == 0:
+        raise InputError("window", f"an odd number of pixels, at least {least}", window)
 
 
 def measure_into(

@@ -31,6 +31,7 @@ VARIANTS: tuple[str, ...] = get_args(Variant)
 LEAST_FRAMES = 5
 _MOST_WORKERS = 8  # frames in work at a time, which bounds the memory
 _LEAST_ERROR = 1e-6  # 120 dB: what float32 resolves
+_LEAST_ALPHA = 1e-3  # below, weights are equal but for rounding
 
 
 @dataclass(frozen=True)
@@ -173,8 +174,8 @@ def selective_weights(
     """
     if variant not in VARIANTS:
         raise InputError("variant", f"one of {', '.join(VARIANTS)}", variant)
-    if not 0.0 < alpha <= 1.0:
-        raise InputError("alpha", "a number in (0, 1]", alpha)
+    if not isinstance(alpha, (int, float)) or not _LEAST_ALPHA <= alpha <= 1.0:
+        raise InputError("alpha", f"a number from {_LEAST_ALPHA} to 1", alpha)
     if not np.isfinite(threshold_db):
         raise InputError("threshold_db", "a finite number", threshold_db)
     published = variant == "published"

@@ -1,7 +1,7 @@
 """Patterns: what the projector shows, and how frames are decoded to panel coordinates."""
 
 from slbench.patterns.codes import Axis, Flat, Fringes, GrayCode, Part, panel_response
-from slbench.patterns.decode import PhaseMap, decode
+from slbench.patterns.decode import MIN_MODULATION_DN, PhaseMap, decode
 from slbench.patterns.phase import (
     NoiseModel,
     order_error_probability,
@@ -12,6 +12,7 @@ from slbench.patterns.phase import (
 from slbench.patterns.sequence import Frame, PatternSequence
 
 __all__ = [
+    "MIN_MODULATION_DN",
     "Axis",
     "Flat",
     "Frame",

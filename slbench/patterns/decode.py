@@ -18,6 +18,8 @@ from slbench.patterns.codes import Axis, Flat, Fringes, GrayCode
 from slbench.patterns.phase import FloatArray, NoiseModel
 from slbench.patterns.sequence import PatternSequence
 
+#: Least modulation of a measured pixel, DN, unless said otherwise.
+MIN_MODULATION_DN = 3.0
 _FRAME_TYPES = (np.uint8, np.uint16, np.float32, np.float64)
 
 
@@ -56,7 +58,7 @@ def decode(
     *,
     noise: NoiseModel | None = None,
     saturation: float | None = None,
-    min_modulation: float = 3.0,
+    min_modulation: float = MIN_MODULATION_DN,
     min_snr: float = 3.0,
     keep_relative: bool = False,
 ) -> PhaseMap:

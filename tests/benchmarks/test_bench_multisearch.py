@@ -43,19 +43,25 @@ def nsga2(objectives, d, m, evaluations, seed):
     return f[nondominated(f)]
 
 
-@pytest.mark.parametrize(("d", "limit_s"), [(6, 10.0), (3, 30.0)])
-def test_time_of_the_search_itself(benchmark, d, limit_s):
+@pytest.mark.parametrize(("d", "limit"), [(6, 3.0), (3, 9.0)])
+def test_time_of_the_search_itself(benchmark, d, limit):
     minimize(dtlz2, [0] * d, [1] * d, max_evaluations=100)  # compiles
     front = benchmark.pedantic(
         minimize, (dtlz2, [0] * d, [1] * d), {"max_evaluations": BUDGET}, rounds=2
     )
-    start = time.perf_counter()
+    start = time.process_time()
     minimize(dtlz2, [0] * d, [1] * d, max_evaluations=BUDGET)
-    elapsed = time.perf_counter() - start
-    print(f"\nd = {d}: {front.evaluations} evaluations, {len(front)} points, {elapsed:.1f} s")
+    own = time.process_time() - start
+    start = time.process_time()
+    nsga2(dtlz2, d, 3, BUDGET, 1)
+    other = time.process_time() - start
+    ratio = own / other
+    print(
+        f"\nd = {d}: {front.evaluations} evaluations, {len(front)} points, {own:.1f} s, "
+        f"{ratio:.2f} times NSGA-II's"
+    )
     assert len(front) > 1000
-    # 1.2 s (1571 points) and 4.5 s (5490) on two cores; room for a machine busy with more.
-    assert elapsed < limit_s
+    assert ratio < limit
 
 
 def test_beside_nsga2_at_equal_evaluations():

@@ -6,7 +6,7 @@ import pytest
 from focus_stacks import psnr_db, slanted_plane
 
 from slbench.errors import InputError
-from slbench.fusion import align, selective_weights
+from slbench.fusion import Alignment, align, selective_weights
 
 COUNT, SIDE, MIDDLE = 7, 160, 3
 
@@ -67,6 +67,29 @@ def test_alignment_brings_the_fusion_back():
     fused = selective_weights(straight).fuse(straight)
     crooked = selective_weights(stack).fuse(stack)
     assert psnr_db(fused, sharp, 16) > psnr_db(crooked, sharp, 16) + 6.0
+
+
+@pytest.mark.parametrize("shift", [0.02, 0.1, 0.25, 0.5, 0.9])
+def test_small_shifts_move_pictures_by_as_much(shift):
+    """A ramp exactly; fringes of 10 px to a thousandth of a pixel, or their phase is biased."""
+    transform = np.array([[[1.0, 0.0, shift], [0.0, 1.0, -shift / 2], [0.0, 0.0, 1.0]]])
+    apply = Alignment(transform, np.ones(1), 0).apply
+    v, u = np.mgrid[0:40.0, 0:200.0]
+    inner = np.s_[5:-5, 5:-5]
+    ramp = 2.0 * u + v
+    moved = apply([ramp])[0] - ramp
+    np.testing.assert_allclose(moved[inner], 1.5 * shift, atol=1e-4)  # single precision of 440
+    frames = [100 + 50 * np.cos(2 * np.pi * (u / 10 - k / 4)) for k in range(4)]
+    warped = [apply([frame])[0] for frame in frames]
+    phasor = (warped[0] - warped[2]) + 1j * (warped[1] - warped[3])
+    apart = np.angle(phasor * np.exp(-2j * np.pi * u / 10)) / (2 * np.pi) * 10
+    np.testing.assert_allclose(apart[inner], shift, atol=1e-3)
+
+
+def test_borders_are_replicated():
+    image = np.arange(60.0).reshape(6, 10)
+    far = np.array([[[1.0, 0.0, 500.0], [0.0, 1.0, -1e9], [0.0, 0.0, 1.0]]])
+    np.testing.assert_array_equal(Alignment(far, np.ones(1), 0).apply([image])[0], image[0, -1])
 
 
 def test_other_stacks_move_alike():

@@ -162,6 +162,7 @@ class TestBadInput:
             (("--measure", "entropy"), ["measure", "laplacian"]),
             (("--variant", "old"), ["variant", "published"]),
             (("--window", 4), ["window", "odd"]),
+            (("--method", "pyramid", "--measure", "entropy"), ["measure", "laplacian"]),
             (("--align", "translation"), ["frame", "aligns"]),  # frames of noise
         ],
     )
@@ -263,7 +264,8 @@ def test_stacks_are_aligned_by_their_lit_frames(stack, tmp_path):
 
 
 def test_stacks_that_cannot_be_fused_are_refused(stack, tmp_path):
-    check_refused(run_cli("fuse", stack, "--out", stack), "--out", "another folder")
+    for within in (stack, stack / "focus000", stack / "new"):  # its captures would be overwritten
+        check_refused(run_cli("fuse", stack, "--out", within), "--out", "outside the stack's")
     file = tmp_path / "file.txt"
     file.write_text("x")
     check_refused(run_cli("fuse", stack, "--out", file), "--out", "a file")
