@@ -2,6 +2,8 @@
 
 At every position of the stage the target is captured (as a focus stack where the scene has
 focus settings), its dots are detected in the lit frame, numbered, and re-mapped to the panel.
+A position that shows no dots (blurred away, or out of view) is left out and counted: the others
+have cost too much to lose.
 World coordinates are those of the stage and of the certified grid, as in the laboratory; the
 detections are scored besides against the exact projections of the true centres, which only a
 simulation has.
@@ -59,6 +61,11 @@ class Experiment:
     position: NDArray[np.intp]
     positions_mm: Array
     detection_px: Array
+
+    @property
+    def without_dots(self) -> NDArray[np.intp]:
+        """Return the stage positions that no point is from."""
+        return np.setdiff1d(np.arange(len(self.positions_mm)), self.position)
 
 
 def stage_positions(
@@ -129,7 +136,7 @@ def run_experiment(
     Raises
     ------
     InputError
-        If the first object has no dots, or a position shows none.
+        If the first object has no dots, no position shows any, or nothing can be captured.
     """
     grid = scene.objects[0]
     dots = grid.artefact.targets
@@ -142,16 +149,26 @@ def run_experiment(
     camera = scene.rig.camera
     errors = np.random.default_rng([seed, 3]).normal(0.0, stage_sigma_mm or 0.0, positions_mm.shape)
     pixels, world, position, detection = [], [], [], []
+    problems, captured = [], False
     for k, (nominal, error) in enumerate(zip(positions_mm, errors, strict=True)):
         nominal_pose = Pose(grid.pose.rotation, grid.pose.position + nominal)
         moved = replace(grid, pose=Pose(grid.pose.rotation, nominal_pose.position + error))
         placed = replace(scene, objects=(moved, *scene.objects[1:]))
         own = int(np.random.SeedSequence([seed, 4, k]).generate_state(1)[0])
         try:
-            found, which, columns = _dots(placed, nominal_pose, remapping, weights, own)
+            shots, phase = _measured(placed, weights, own)
+            captured = True
+            found, which, columns = _dots(placed, nominal_pose, remapping, shots, phase)
         except InputError as problem:
             where = f"stage position {k + 1}: {problem.where}"
-            raise InputError(where, problem.expected, problem.got) from None
+            problems.append(InputError(where, problem.expected, problem.got))
+            # A scene that cannot be captured at all fails at once, before others are rendered.
+            if not captured:
+                raise problems[0] from None
+            continue
+        finally:
+            if on_progress:
+                on_progress("positions", (k + 1) / len(positions_mm))
         v_p = columns.get("v", np.full(len(found), np.nan))
         u_p = columns["u"]
         good = (which >= 0) & np.isfinite(u_p) & (np.isfinite(v_p) | ("v" not in columns))
@@ -161,8 +178,9 @@ def run_experiment(
         world.append(nominal_world[which[good]])
         detection.append(found.centres[good] - true[which[good]])
         position.append(np.full(int(good.sum()), k))
-        if on_progress:
-            on_progress("positions", (k + 1) / len(positions_mm))
+    if not sum(map(len, position)):
+        nothing = InputError("stage positions", "dots that can be numbered and decoded", "none")
+        raise problems[0] if problems else nothing
     return Experiment(
         CalibrationPoints(np.concatenate(pixels), np.concatenate(world)),
         np.concatenate(position),
@@ -172,10 +190,9 @@ def run_experiment(
 
 
 def _dots(
-    scene: Scene, nominal: Pose, remapping: Remapping, weights: WeightSource, seed: int
+    scene: Scene, nominal: Pose, remapping: Remapping, shots: Capture, phase: PhaseMap
 ) -> tuple[Dots, NDArray[np.intp], dict[Axis, Array]]:
     """Detect the dots of one position: where, which, and their panel coordinates by axis."""
-    shots, phase = _measured(scene, weights, seed)
     lit = next(
         i
         for i, frame in enumerate(shots.sequence.frames())

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, qr, solve_triangular
 
-from slbench.calibration.robust import Loss, solve_by_qr
+from slbench.calibration.robust import Loss, breakdown_refused, solve_by_qr
 
 Array = NDArray[np.float64]
 
@@ -94,7 +94,20 @@ def joint_irls(
     Returns
     -------
     JointFit
+
+    Raises
+    ------
+    InputError
+        As :func:`~slbench.calibration.robust.breakdown_refused`.
     """
+    with breakdown_refused(*q.shape):
+        return _joint_irls(q, y, sizes, loss, max_iterations, tolerance)
+
+
+def _joint_irls(
+    q: Array, y: Array, sizes: Sequence[int], loss: Loss, max_iterations: int, tolerance: float
+) -> JointFit:
+    """Do the work of :func:`joint_irls`."""
     n = len(q)
     robust = loss == "cauchy"
     floor = _ROUNDING * np.maximum(np.abs(y).max(axis=0), np.finfo(np.float64).tiny)

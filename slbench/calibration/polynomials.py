@@ -230,15 +230,17 @@ class Basis:
         Raises
         ------
         InputError
-            With fewer points than the coefficients and one, or naming the first term that is
-            a linear combination of those before it (points in one plane of the inputs, say).
+            With fewer different points than the coefficients and one, or naming the first term
+            that is a linear combination of those before it (points in one plane of the inputs,
+            say).
         """
         n, p = len(standardised), len(form)
-        if n <= p:
+        different = count_different(standardised, p + 1)
+        if different <= p:
             raise InputError(
                 f"calibration points: model {form.name}",
-                f"at least {p + 1} points for its {p} coefficients",
-                f"{n} (its last term is {form.terms[-1]})",
+                f"at least {p + 1} different points for its {p} coefficients",
+                f"{different} (its last term is {form.terms[-1]})",
             )
         design = form.design(standardised)
         norms = np.linalg.norm(design, axis=0)
@@ -259,6 +261,16 @@ class Basis:
         p = len(form)
         assert self.form.exponents[:p] == form.exponents
         return Basis(form, self.q[:, :p], self.r[:p, :p])
+
+
+def count_different(inputs: Array, enough: int) -> int:
+    """Count the different rows of inputs (n, k), up to `enough` of them."""
+    found: set[tuple[float, ...]] = set()
+    for row in inputs:
+        found.add(tuple(row.tolist()))
+        if len(found) == enough:
+            break
+    return len(found)
 
 
 def checked_inputs(inputs: ArrayLike, size: int | None = None, where: str = "points") -> Array:

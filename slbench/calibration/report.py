@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from slbench.calibration.baselines import Comparison
 from slbench.calibration.experiment import Experiment
 from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.scales import GROSS
 from slbench.calibration.selection import Selection
 from slbench.io import atomic_folder, atomic_path, write_json, write_provenance, write_table
 
@@ -23,6 +24,30 @@ THESIS_13 = {"x": (0.44, 0.34), "y": (0.57, 0.46), "z": (1.50, 1.24)}
 #: Its last row, the root sum square.
 THESIS_13_TOTAL = (1.67, 1.36)
 _UM = 1e3
+
+
+def write_points(
+    experiment: Experiment, folder: str | Path, parameters: dict[str, Any], seed: int
+) -> None:
+    """Write what no fit is needed for: points, detections and provenance.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    folder : path
+        Gets ``points.csv``, ``detections.csv``, ``provenance.json``.
+    parameters : dict
+        For the provenance.
+    seed : int
+    """
+    with atomic_folder(folder) as temporary:
+        experiment.points.write(temporary / "points.csv")
+        write_table(
+            temporary / "detections.csv",
+            ("position", "error_u_px", "error_v_px"),
+            np.column_stack((experiment.position, experiment.detection_px)),
+        )
+        write_provenance(temporary, parameters, seed)
 
 
 def write_experiment(
@@ -50,12 +75,7 @@ def write_experiment(
     seed : int
     """
     with atomic_folder(folder) as temporary:
-        experiment.points.write(temporary / "points.csv")
-        write_table(
-            temporary / "detections.csv",
-            ("position", "error_u_px", "error_v_px"),
-            np.column_stack((experiment.position, experiment.detection_px)),
-        )
+        write_points(experiment, temporary, parameters, seed)
         selection.model.save(temporary / "model.json")
         write_json(temporary / "calibration.json", to_dict(experiment, selection, comparison))
         with atomic_path(temporary / "tables.md") as path:
@@ -68,7 +88,6 @@ def write_experiment(
             FigureCanvasAgg(figure)
             with atomic_path(temporary / f"{name}.png") as path:
                 figure.savefig(path, format="png")
-        write_provenance(temporary, parameters, seed)
 
 
 def to_dict(
@@ -79,6 +98,7 @@ def to_dict(
     return selection.to_dict() | {
         "points": len(experiment.points),
         "positions": len(experiment.positions_mm),
+        "positions_without_dots": len(experiment.without_dots),
         "detection": {
             "bias_px": np.median(experiment.detection_px, axis=0),
             "scatter_px": np.std(experiment.detection_px, axis=0),
@@ -91,9 +111,12 @@ def to_dict(
 
 def tables(experiment: Experiment, selection: Selection, comparison: Comparison | None) -> str:
     """Return tables 12 and 13 as Markdown, the thesis's numbers beside ours."""
+    empty = len(experiment.without_dots)
     lines = [
-        f"{len(experiment.points)} dots at {len(experiment.positions_mm)} positions; "
-        f"{len(selection.train)} train, {len(selection.validation)} validate.",
+        f"{len(experiment.points)} dots at {len(experiment.positions_mm)} positions"
+        + (f" ({empty} of them without dots)" if empty else "")
+        + f"; {len(selection.train)} train, {len(selection.validation)} validate."
+        + (f" {gross_note(selection)}." if len(selection.gross) else ""),
         "",
         "## Validation errors (thesis table 13), um",
         "",
@@ -120,6 +143,12 @@ def tables(experiment: Experiment, selection: Selection, comparison: Comparison 
     return "\n".join(lines) + "\n"
 
 
+def gross_note(selection: Selection) -> str:
+    """Say how many points were left out of the choice, and why."""
+    share = f"{len(selection.gross)} of {len(selection.train)} training points"
+    return f"{share}, off by more than {GROSS:g} deviations, left out of choice and domain"
+
+
 def validation_rows(selection: Selection) -> list[tuple[str, str, float, float, float, float]]:
     """Return table 13: coordinate, form, RMS, the thesis's, MAD, the thesis's; um.
 
@@ -142,7 +171,7 @@ def score_rows(
     """Return every model's errors (thesis figs. 30-32), um.
 
     Coordinate, form, whether it is selected, training RMS, validation RMS and MAD, root of the
-    residual mean square, leave-one-out error.
+    residual mean square, leave-one-out error without gross points.
     """
     return [
         (
@@ -153,7 +182,7 @@ def score_rows(
             _UM * score.validation_rms,
             _UM * score.validation_mad,
             _UM * score.residual_ms**0.5,
-            _UM * score.cv,
+            _UM * score.cv_robust,
         )
         for name, forms in selection.scores.items()
         for form, score in forms.items()
@@ -184,7 +213,7 @@ def models_figure(selection: Selection) -> Figure:
             "training RMS": [s.train_rms for s in scores.values()],
             "validation RMS": [s.validation_rms for s in scores.values()],
             "root residual MS": [s.residual_ms**0.5 for s in scores.values()],
-            "CV (leave one out)": [s.cv for s in scores.values()],
+            "CV (leave one out)": [s.cv_robust for s in scores.values()],
         }
         for k, (label, values) in enumerate(metrics.items()):
             places = np.arange(len(forms)) + 0.2 * (k - 1.5)

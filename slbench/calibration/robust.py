@@ -23,6 +23,7 @@ decomposition of ``W^(1/2) Q``, which gives the leverages too.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal, Self
 
@@ -39,6 +40,7 @@ from slbench.calibration.polynomials import (
     checked_inputs,
     polynomial_form,
 )
+from slbench.calibration.scales import predictive_scale, robust_scale, rounding
 from slbench.errors import InputError
 
 Array = NDArray[np.float64]
@@ -46,12 +48,6 @@ Loss = Literal["cauchy", "least-squares"]
 
 #: 95 % efficiency at the normal distribution.
 CAUCHY_TUNING = 2.385
-#: Residuals beyond this many robust deviations are mistakes, not tails.
-_GROSS = 8.0
-#: Median of the absolute value of a standard normal variable.
-NORMAL_MAD = 0.6745
-#: Residuals below this many ulps of the largest datum are rounding.
-_ROUNDING = 16.0 * np.finfo(np.float64).eps
 #: Rows handled together: a block of twenty columns is 320 kB.
 _BLOCK = 2048
 
@@ -66,44 +62,23 @@ def check_options(loss: str, max_iterations: int, tolerance: float) -> None:
         raise InputError("tolerance", "a number between 0 and 1", tolerance)
 
 
-def robust_scale(residuals: Array, coefficients: int) -> float:
-    """Estimate the standard deviation of the noise: ``median|r| / 0.6745``.
+@contextmanager
+def breakdown_refused(n: int, coefficients: int) -> Iterator[None]:
+    """Turn a singular weighted problem into bad input.
 
-    Parameters
-    ----------
-    residuals : (n,) float
-    coefficients : int
-        Coefficients of the fit, p; the ``p - 1`` smallest residuals are left out.
+    Raises
+    ------
+    InputError
+        Where the points that have kept a weight do not determine the coefficients.
     """
-    n, left_out = len(residuals), coefficients - 1
-    low, high = left_out + (n - left_out - 1) // 2, left_out + (n - left_out) // 2
-    ordered = np.partition(np.abs(residuals), (low, high))
-    return float(0.5 * (ordered[low] + ordered[high]) / NORMAL_MAD)
-
-
-def predictive_scale(residuals: Array, leverage: Array, scale: float) -> float:
-    """Return the deviation that 1.96 times of covers 95 % of new observations.
-
-    The robust scale describes the core of the residuals.  Where they have heavier tails, as
-    where dots at the ends of a volume are blurred and noisier, it would promise too much: the
-    95 % quantile of the leave-one-out residuals over 1.96 is taken then.  Outliers beyond
-    ``_GROSS`` robust deviations are not what is predicted, and left out; a quantile within twice
-    its standard error of the normal one, some ``2 / sqrt(n)``, is no evidence.
-
-    Parameters
-    ----------
-    residuals, leverage : (n,) float
-        Of the weighted fit.
-    scale : float
-        Robust scale of the residuals.
-    """
-    left = 1.0 - leverage
-    errors = np.abs(residuals[left > 1e-6] / left[left > 1e-6])
-    errors = errors[errors <= _GROSS * scale]
-    if len(errors) == 0:
-        return scale
-    tail = float(np.quantile(errors, 0.95)) / 1.96
-    return tail if tail > (1.0 + 2.0 / np.sqrt(len(errors))) * scale else scale
+    try:
+        yield
+    except np.linalg.LinAlgError:
+        raise InputError(
+            f"calibration points: robust fit of {coefficients} coefficients",
+            "different points enough to fix every coefficient when outliers have lost their weight",
+            f"{n} points that do not (many of them repeated?)",
+        ) from None
 
 
 def cauchy_weights(residuals: Array, scale: float) -> Array:
@@ -168,9 +143,14 @@ def irls(
     Returns
     -------
     WeightedFit
+
+    Raises
+    ------
+    InputError
+        As :func:`breakdown_refused`.
     """
     n, p = q.shape
-    floor = _ROUNDING * max(float(np.max(np.abs(y))), np.finfo(np.float64).tiny)
+    floor = rounding(y)
     coefficients = q.T @ y
     residuals = y - q @ coefficients
     if loss == "least-squares":
@@ -180,17 +160,18 @@ def irls(
         return WeightedFit(coefficients, residuals, np.ones(n), leverage, std, variance, 1, True)
     converged = False
     iteration = 0
-    while not converged and iteration < max_iterations:
-        iteration += 1
+    with breakdown_refused(n, p):
+        while not converged and iteration < max_iterations:
+            iteration += 1
+            scale = max(robust_scale(residuals, p), floor)
+            weights = cauchy_weights(residuals, scale)
+            step = _correction(q, weights, residuals)
+            coefficients = coefficients + step
+            residuals = y - q @ coefficients
+            converged = np.linalg.norm(step) / n**0.5 <= max(tolerance * scale, floor)
         scale = max(robust_scale(residuals, p), floor)
         weights = cauchy_weights(residuals, scale)
-        step = _correction(q, weights, residuals)
-        coefficients = coefficients + step
-        residuals = y - q @ coefficients
-        converged = np.linalg.norm(step) / n**0.5 <= max(tolerance * scale, floor)
-    scale = max(robust_scale(residuals, p), floor)
-    weights = cauchy_weights(residuals, scale)
-    step, leverage = solve_by_qr(q, weights, residuals)
+        step, leverage = solve_by_qr(q, weights, residuals)
     coefficients = coefficients + step
     residuals = y - q @ coefficients
     return WeightedFit(

@@ -5,9 +5,15 @@ form with the least leave-one-out error ``CV = sqrt(PRESS / n)`` on the training
 
 **PRESS without refits.**  With the weights of the fit held fixed, the residual of a point
 predicted by a fit without it is ``r_i / (1 - h_i)``, ``h_i`` the diagonal of the hat matrix of
-the *weighted* problem.  (Weights found anew without the point would differ by O(1/n).)  The sum
-runs over all points with equal weight, as eq. 47 has it: gross outliers raise the CV of every
-form alike, and with them the choice between two nearly equal forms is less certain.
+the *weighted* problem.  (Weights found anew without the point would differ by O(1/n).)
+
+**Gross points do not choose.**  Eq. 47 sums over all points with equal weight: one wrong fringe
+order among a thousand points is most of the sum, and the form that happens to bend towards it
+has the least.  The choice is therefore by the same mean without the points that are off by more
+than :data:`~slbench.calibration.scales.GROSS` robust deviations from the widest candidate, in
+any coordinate: one set of points for all forms, or their sums could not be compared.  The widest
+decides because what a smaller form misses may be its own fault.  These points do not bound the
+domain either: where one of them was, nothing is known.  Both means are in the scores.
 
 With equally good forms the CV takes a larger one than need be in some 15 % of data sets: it
 behaves as Akaike's criterion, which a further coefficient passes when its square exceeds twice
@@ -35,6 +41,7 @@ from slbench.calibration.polynomials import (
     Basis,
     PolynomialForm,
     Standardisation,
+    count_different,
     polynomial_form,
 )
 from slbench.calibration.robust import (
@@ -43,8 +50,8 @@ from slbench.calibration.robust import (
     checked_response,
     in_terms,
     irls,
-    predictive_scale,
 )
+from slbench.calibration.scales import gross_points, predictive_scale
 from slbench.errors import InputError
 
 Array = NDArray[np.float64]
@@ -63,7 +70,9 @@ class ModelScore:
     residual_ms : float
         Residual mean square, thesis eq. 46.
     cv : float
-        Leave-one-out error, thesis eq. 47.
+        Leave-one-out error of all points, thesis eq. 47.
+    cv_robust : float
+        The same without the gross points, by which forms are chosen.
     coefficients : int
     iterations : int
     converged : bool
@@ -75,6 +84,7 @@ class ModelScore:
     validation_mad: float
     residual_ms: float
     cv: float
+    cv_robust: float
     coefficients: int
     iterations: int
     converged: bool
@@ -95,6 +105,9 @@ class Selection:
         that differ.
     train, validation : (m,) int
         Rows of the points.
+    gross : (m,) int
+        Those of the training rows that neither chose the forms nor bound the domain; see the
+        module's docstring.
     seed : int
     """
 
@@ -104,6 +117,7 @@ class Selection:
     final: dict[str, ModelScore]
     train: NDArray[np.intp]
     validation: NDArray[np.intp]
+    gross: NDArray[np.intp]
     seed: int
 
     @property
@@ -125,8 +139,40 @@ class Selection:
             }
             for name in COORDINATES
         }
-        counts = {"train": len(self.train), "validation": len(self.validation)}
+        counts = {
+            "train": len(self.train),
+            "validation": len(self.validation),
+            "gross": len(self.gross),
+        }
         return result | {"isometric": self.isometric, "n": counts, "seed": self.seed}
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A fit of one form to one coordinate: training residuals (n,), validation errors (m,)."""
+
+    model: CoordinateModel
+    residuals: Array
+    leverage: Array
+    errors: Array
+    iterations: int
+    converged: bool
+
+    def score(self, good: NDArray[np.bool_]) -> ModelScore:
+        """Score the fit; `good` (n,) are the training points that choose."""
+        n, p = len(self.residuals), len(self.model.form)
+        return ModelScore(
+            train_rms=rms(self.residuals),
+            train_mad=median_absolute(self.residuals),
+            validation_rms=rms(self.errors),
+            validation_mad=median_absolute(self.errors),
+            residual_ms=float(self.residuals @ self.residuals) / (n - p),
+            cv=(press(self.residuals, self.leverage) / n) ** 0.5,
+            cv_robust=(press(self.residuals[good], self.leverage[good]) / int(good.sum())) ** 0.5,
+            coefficients=p,
+            iterations=self.iterations,
+            converged=self.converged,
+        )
 
 
 def split(
@@ -146,6 +192,23 @@ def split(
         raise InputError("calibration points", "enough for training and validation", n)
     order = np.random.default_rng(seed).permutation(n)
     return np.sort(order[count:]), np.sort(order[:count])
+
+
+def forms_for(n: int, axes: Axes = "u", validation: float = 0.2) -> tuple[str, ...]:
+    """Return the forms that n points can train, those of fewer coefficients first.
+
+    Raises
+    ------
+    InputError
+        If they are too few for the smallest.
+    """
+    train = len(split(n, validation)[0])
+    found = tuple(name for name in FORMS if len(polynomial_form(name, axes)) < train)
+    if not found:
+        least = len(polynomial_form(FORMS[0], axes)) + 1
+        expected = f"at least {least} training points for the smallest model, {FORMS[0]}"
+        raise InputError("calibration points", expected, f"{train} of {n} that train")
+    return found
 
 
 def press(residuals: Array, leverage: Array) -> float:
@@ -214,7 +277,9 @@ def select_models(
     Raises
     ------
     InputError
-        For too few points, dependent terms (named), or a coordinate that does not change.
+        For fewer different training points than the widest candidate's coefficients and one,
+        points that outliers leave too few of, dependent terms (named), or a coordinate that
+        does not change.
     """
     check_options(loss, max_iterations, tolerance)
     options: dict[str, Any] = {
@@ -232,20 +297,22 @@ def select_models(
         checked_response(y[:, k], len(train), f"calibration points: {name}_mm")
     standardisation = Standardisation.of(inputs[train], candidates[-1].variables)
     standardised = standardisation.apply(inputs[train])
+    _check_enough(standardised, candidates, len(points))
     basis = _basis(standardised, candidates)
     held_design = candidates[-1].design(standardisation.apply(inputs[held]))
     truth = points.world[held]
 
-    def one_fit(task: tuple[PolynomialForm, int]) -> tuple[CoordinateModel, ModelScore]:
+    def one_fit(task: tuple[PolynomialForm, int]) -> _Candidate:
         form, k = task
         part = basis.leading(form)
         fit = irls(part.q, y[:, k], **options)
         terms = in_terms(part, fit.coefficients, fit.variance)
         one = CoordinateModel(form, *terms, fit.residual_std)
         errors = held_design[:, : len(form)] @ one.coefficients - truth[:, k]
-        return one, _score(fit.residuals, fit.leverage, errors, fit.iterations, fit.converged, form)
+        how = (fit.residuals, fit.leverage, errors, fit.iterations, fit.converged)
+        return _Candidate(one, *how)
 
-    def joint_fit(forms: Sequence[PolynomialForm]) -> list[tuple[CoordinateModel, ModelScore]]:
+    def joint_fit(forms: Sequence[PolynomialForm]) -> list[_Candidate]:
         widest = basis.leading(max(forms, key=len))
         fit = joint_irls(widest.q, y, [len(form) for form in forms], **options)
         result = []
@@ -253,8 +320,8 @@ def select_models(
             one = _of_joint(fit, k, basis.leading(form))
             errors = held_design[:, : len(form)] @ one.coefficients - truth[:, k]
             # Leverages are those of the widest form: of forms that differ, bounds from above.
-            how = (fit.leverage, errors, fit.iterations, fit.converged, form)
-            result.append((one, _score(fit.residuals[:, k], *how)))
+            how = (fit.leverage, errors, fit.iterations, fit.converged)
+            result.append(_Candidate(one, fit.residuals[:, k], *how))
         return result
 
     tasks = [(form, k) for form in candidates for k in range(3)]
@@ -269,20 +336,40 @@ def select_models(
         found = {
             (COORDINATES[k], form.name): fit for (form, k), fit in zip(tasks, fits, strict=True)
         }
+        good = np.ones(len(train), dtype=np.bool_)
+        for k, name in enumerate(COORDINATES):
+            widest = found[name, candidates[-1].name]
+            good &= ~gross_points(widest.residuals, widest.leverage, y[:, k], len(candidates[-1]))
         scores = {
-            name: {form.name: found[name, form.name][1] for form in candidates}
+            name: {form.name: found[name, form.name].score(good) for form in candidates}
             for name in COORDINATES
         }
         selected = {
-            name: min(scores[name], key=lambda form: scores[name][form].cv) for name in COORDINATES
+            name: min(scores[name], key=lambda form: scores[name][form].cv_robust)
+            for name in COORDINATES
         }
         final = [found[name, selected[name]] for name in COORDINATES]
         if multivariate and len(set(selected.values())) > 1:
-            final = joint_fit([one.form for one, _ in final])
-    (x, x_score), (y_model, y_score), (z, z_score) = final
-    model = CalibrationModel(axes, standardisation, (x, y_model, z), Domain.of(standardised))
-    final_scores = dict(zip(COORDINATES, (x_score, y_score, z_score), strict=True))
-    return Selection(model, selected, scores, final_scores, train, held, seed)
+            final = joint_fit([one.model.form for one in final])
+    x, y_fit, z = final
+    coordinates = (x.model, y_fit.model, z.model)
+    model = CalibrationModel(axes, standardisation, coordinates, Domain.of(standardised[good]))
+    final_scores = {name: fit.score(good) for name, fit in zip(COORDINATES, final, strict=True)}
+    return Selection(model, selected, scores, final_scores, train, held, train[~good], seed)
+
+
+def _check_enough(standardised: Array, candidates: list[PolynomialForm], n: int) -> None:
+    """Refuse fewer different training points (m, k), of n in all, than the widest form needs."""
+    widest = candidates[-1]
+    different = count_different(standardised, len(widest) + 1)
+    if different > len(widest):
+        return
+    fewer = ",".join(form.name for form in candidates if len(form) < different)
+    expected = f"at least {len(widest) + 1} different training points"
+    expected += f" (or --models {fewer})" if fewer else ""
+    train = len(standardised)
+    got = f"{train} of {n} that train" + (f", {different} different" if different < train else "")
+    raise InputError(f"calibration points: model {widest.name}", expected, got)
 
 
 def _basis(standardised: Array, candidates: list[PolynomialForm]) -> Basis:
@@ -303,26 +390,4 @@ def _of_joint(joint: JointFit, k: int, basis: Basis) -> CoordinateModel:
         to_terms @ joint.coefficients[k],
         to_terms @ joint.covariance[k] @ to_terms.T,
         predictive_scale(joint.residuals[:, k], joint.leverage, float(joint.scatter[k, k] ** 0.5)),
-    )
-
-
-def _score(
-    residuals: Array,
-    leverage: Array,
-    errors: Array,
-    iterations: int,
-    converged: bool,
-    form: PolynomialForm,
-) -> ModelScore:
-    n, p = len(residuals), len(form)
-    return ModelScore(
-        train_rms=rms(residuals),
-        train_mad=median_absolute(residuals),
-        validation_rms=rms(errors),
-        validation_mad=median_absolute(errors),
-        residual_ms=float(residuals @ residuals) / (n - p),
-        cv=(press(residuals, leverage) / n) ** 0.5,
-        coefficients=p,
-        iterations=iterations,
-        converged=converged,
     )

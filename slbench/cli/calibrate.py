@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -43,6 +44,7 @@ def fit(
 ) -> None:
     """Fit the models of every world coordinate robustly and choose by cross-validation."""
     from slbench.calibration.points import CalibrationPoints
+    from slbench.calibration.report import gross_note
     from slbench.calibration.selection import select_models
     from slbench.report.calibrationpage import calibration_page
     from slbench.report.page import check_page_path, write_page
@@ -79,6 +81,8 @@ def fit(
     print_table(_scores(selection))
     rms, mad = (1e3 * value for value in selection.isometric.values())
     print(f"3-D validation error: RMS {rms:.4g} µm, MAD {mad:.4g} µm")
+    if len(selection.gross):
+        print(gross_note(selection))
     for name, forms in selection.scores.items():
         for form, score in forms.items():
             if not score.converged:
@@ -110,8 +114,9 @@ def apply(
         bool, typer.Option("--inside-only", help="Leave out what the model would extrapolate to.")
     ] = False,
     min_modulation: Annotated[
-        float, typer.Option(min=0.0, help="Least modulation of a valid pixel, DN.")
-    ] = 3.0,
+        float | None,
+        typer.Option(min=0.0, help="Least modulation of a valid pixel, DN; 3, or the capture's."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Decode frames and turn every pixel into a point by a calibration model."""
@@ -122,7 +127,8 @@ def apply(
 
     _check_suffix(out, ".ply")
     calibration = CalibrationModel.load(model)
-    phase = Capture.load(capture).decode(min_modulation=min_modulation)
+    limit = {} if min_modulation is None else {"min_modulation": min_modulation}
+    phase = Capture.load(capture).decode(**limit)
     measured = measure(calibration, phase)
     outside = int(np.count_nonzero(measured.extrapolated))
     decoded = len(measured.cloud)
@@ -132,6 +138,9 @@ def apply(
     if count == 0:
         expected = "pixels in the model's domain" if decoded else "pixels that can be decoded"
         raise InputError(capture, expected, f"none of {decoded}" if decoded else "none")
+    if 2 * outside > decoded:
+        share = f"{outside} of {decoded} pixels are outside the model's domain"
+        print(f"warning: {share}: another camera, or a larger object?", file=sys.stderr)
     sigma = measured.sigma_total_mm
     fields = {"sigma": sigma, "extrapolated": measured.extrapolated.astype(np.float64)}
     write_ply(out, measured.cloud.points, fields)

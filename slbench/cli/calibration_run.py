@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -20,8 +20,9 @@ from slbench.cli.common import (
 from slbench.errors import InputError
 
 EXAMPLE = "slbench calibrate run ch8-grid-stack --preview --out out/calibration"
-#: Heights and shifts of a preview.
-_PREVIEW = (5, 3)
+#: Heights and shifts of a preview.  The methods are compared on every other height: seven leave
+#: four to fit to, as many as a cubic in the height needs.
+_PREVIEW = (7, 2)
 
 
 def run(
@@ -69,8 +70,8 @@ def run(
         run_experiment,
         stage_positions,
     )
-    from slbench.calibration.report import tables, to_dict, write_experiment
-    from slbench.calibration.selection import select_models
+    from slbench.calibration.report import tables, to_dict, write_experiment, write_points
+    from slbench.calibration.selection import forms_for, select_models
     from slbench.report.calibrationpage import calibration_page
     from slbench.report.page import check_page_path, write_page
     from slbench.scenefile import load_scene
@@ -101,18 +102,7 @@ def run(
             seed=seed,
             on_progress=report,
         )
-    axes: Any = "u"
-    selection = select_models(found.points, axes=axes, multivariate=multivariate, seed=seed)
     camera, projector = loaded.rig.camera, loaded.rig.projector
-    try:
-        comparison = compare_methods(
-            found.points,
-            (camera.width, camera.height),
-            (projector.width, projector.height),
-            seed=seed,
-        )
-    except InputError:  # too few heights or dots in common: no baselines, but a calibration
-        comparison = None
     parameters = {
         "scene": loaded.specification,
         "camera_px": [camera.width, camera.height],
@@ -123,6 +113,23 @@ def run(
         "remapping": remapping,
         "weights": weights,
     }
+    # Hours of rendering: kept whatever the points are good for.
+    write_points(found, out, parameters, seed)
+    try:
+        forms = forms_for(len(found.points))
+        selection = select_models(found.points, forms=forms, multivariate=multivariate, seed=seed)
+    except InputError as problem:
+        got = f"{problem.got} (the points are kept in {out / 'points.csv'})"
+        raise InputError(problem.where, problem.expected, got) from None
+    try:
+        comparison = compare_methods(
+            found.points,
+            (camera.width, camera.height),
+            (projector.width, projector.height),
+            seed=seed,
+        )
+    except InputError:  # too few heights or dots in common: no baselines, but a calibration
+        comparison = None
     write_experiment(found, selection, comparison, out, parameters, seed)
     written = {"out": str(out)}
     if page is not None:

@@ -39,8 +39,9 @@ def read_table(
         If the file is missing or holds no rows, a column is missing or unknown, or a cell is
         no number, with its line.
     """
+    there = existing(path)
     try:
-        text = existing(path).read_text(encoding="utf-8-sig")
+        text = there.read_text(encoding="utf-8-sig")
     except ValueError as error:
         raise InputError(path, "a CSV file", error) from None
     lines = csv.reader(io.StringIO(text, newline=""))

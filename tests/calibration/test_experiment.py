@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slbench.calibration import experiment
 from slbench.calibration.experiment import run_experiment, stage_positions
 from slbench.calibration.selection import select_models
 from slbench.errors import InputError
@@ -99,6 +100,32 @@ def test_both_axes_and_focus_settings(grid):
     assert np.all(np.isfinite(points.pixels))
     true = grid.rig.projector.project(points.world)
     assert np.median(np.abs(points.pixels[:, 2:] - true)) < 0.2
+
+
+def test_a_position_without_dots_is_left_out(grid):
+    # The second is far out of view, the third so far along the axis that no dot is seen.
+    positions = np.array([[0.0, 0.0, 0.0], [100.0, 0.0, 0.0], [0.0, 0.0, -3.0]])
+    found = run_experiment(grid, positions, seed=9)
+    assert found.without_dots.tolist() == [1, 2]
+    assert len(found.points) > 8
+    assert not found.position.any()
+    # The others are what they would be without it.
+    alone = run_experiment(grid, positions[:1], seed=9)
+    np.testing.assert_array_equal(found.points.pixels, alone.points.pixels)
+    assert alone.without_dots.tolist() == []
+
+
+def test_a_scene_that_cannot_be_captured_is_no_missing_position(grid, monkeypatch):
+    calls = []
+
+    def broken(*_):
+        calls.append(1)
+        raise InputError("scene", "patterns", "none")
+
+    monkeypatch.setattr(experiment, "_measured", broken)
+    with pytest.raises(InputError, match="position 1: scene: expected patterns, got none"):
+        run_experiment(grid, np.zeros((3, 3)))
+    assert len(calls) == 1
 
 
 def test_refusals(grid):

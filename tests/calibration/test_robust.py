@@ -17,6 +17,7 @@ from slbench.calibration.robust import (
     irls,
     robust_scale,
 )
+from slbench.calibration.scales import gross_points
 from slbench.errors import InputError
 
 
@@ -50,6 +51,42 @@ def test_scale_is_that_of_normal_noise():
     assert robust_scale(r, 20) == pytest.approx(3.0, rel=0.012)
     assert robust_scale(np.array([-4.0, 0.0, 1.0, 2.0]), 2) == 2.0 / 0.6745
     assert robust_scale(np.array([-4.0, 1.0, 2.0]), 1) == 2.0 / 0.6745
+
+
+class TestGrossPoints:
+    def test_beyond_eight_deviations_alone(self):
+        r = np.random.default_rng(3).normal(size=20_000)  # beyond eight: one in 1e15
+        assert not gross_points(r, np.zeros(20_000), r, 1).any()
+        # The scale is known to 0.9 % here (1.17 / sqrt(n)): bounds at 5 % on both sides.
+        r[:4] = 7.6, -7.6, 8.4, -8.4
+        found = gross_points(r, np.zeros(20_000), r, 1)
+        np.testing.assert_array_equal(np.flatnonzero(found), [2, 3])
+
+    def test_leverage_shrinks_the_residual_and_not_the_bound(self):
+        r = np.random.default_rng(3).normal(size=20_000)
+        leverage = np.zeros(20_000)
+        leverage[:3] = 0.96, 0.96, 1.0
+        # The first two have residuals of 0.2 deviations: 1.4 is seven of them, 2 is ten.
+        r[:3] = 1.4, 2.0, 100.0
+        found = gross_points(r, leverage, r, 1)
+        np.testing.assert_array_equal(np.flatnonzero(found), [1])
+
+    def test_rounding_is_not_gross(self):
+        r = np.zeros(100)
+        r[0] = 2e-16
+        assert not gross_points(r, np.zeros(100), np.ones(100), 1).any()
+        r[0] = 1e-12  # 8 times 16 ulps are 2.8e-14
+        assert gross_points(r, np.zeros(100), np.ones(100), 1)[0]
+
+
+def test_a_singular_problem_is_bad_input():
+    q = np.linalg.qr(np.random.default_rng(0).normal(size=(50, 4)))[0]
+    q[:, 3] = 0.0
+    y = np.random.default_rng(1).normal(size=(50, 3))
+    with pytest.raises(InputError, match=r"robust fit of 4 coefficients.*got 50 points"):
+        irls(q, y[:, 0])
+    with pytest.raises(InputError, match=r"robust fit of 4 coefficients.*got 50 points"):
+        joint_irls(q, y, (4, 4, 4))
 
 
 def test_outliers_barely_move_the_robust_fit():

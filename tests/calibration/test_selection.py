@@ -8,6 +8,7 @@ from slbench.calibration.points import CalibrationPoints
 from slbench.calibration.polynomials import FORMS, Standardisation, polynomial_form
 from slbench.calibration.robust import RobustPolynomial
 from slbench.calibration.selection import (
+    forms_for,
     median_absolute,
     press,
     rms,
@@ -141,6 +142,82 @@ def test_both_panel_axes_lower_the_error_of_noise():
     assert two.model.predict(points.inputs("uv")).shape == (3000, 3)
 
 
+def with_outliers(points, share, step_px, seed):
+    """Move u_p of some points by a wrong fringe order; return them and which are right."""
+    rng = np.random.default_rng(seed)
+    rows = rng.choice(len(points), max(round(share * len(points)), 1), replace=False)
+    pixels = points.pixels.copy()
+    pixels[rows, 2] += step_px * rng.choice([-1, 1], len(rows))
+    clean = np.setdiff1d(np.arange(len(points)), rows)
+    return CalibrationPoints(pixels, points.world), clean
+
+
+class TestGrossPoints:
+    points = rig_points(1000, 0.05)
+
+    @pytest.mark.parametrize("multivariate", [False, True])
+    @pytest.mark.parametrize(("share", "step_px"), [(0.001, 192.0), (0.05, 64.0)])
+    def test_choose_nothing(self, share, step_px, multivariate):
+        differs = []
+        for seed in range(3):
+            found = select_models(self.points, seed=seed, multivariate=multivariate)
+            wrong, clean = with_outliers(self.points, share, step_px, seed)
+            right = select_models(wrong, seed=seed, multivariate=multivariate)
+            assert right.selected == found.selected
+            # All wrong ones that train, by a thousand deviations, and no other one: normal
+            # noise has one in 1e15 beyond eight.
+            np.testing.assert_array_equal(right.gross, np.setdiff1d(right.train, clean))
+            assert len(found.gross) == 0
+            good = self.points.select(clean)
+            before, after = (
+                np.std(one.model.predict(good.inputs()) - good.world, axis=0)
+                for one in (found, right)
+            )
+            # A twentieth of the points less costs little of the 1.2 % that 20 coefficients do.
+            np.testing.assert_allclose(after, before, rtol=0.03)
+            by_all = {c: min(s, key=lambda f: s[f].cv) for c, s in right.scores.items()}
+            differs.append(by_all != found.selected)
+            for c, form in right.selected.items():
+                assert right.scores[c][form].cv >= right.scores[c][form].cv_robust
+        # The sum over all points, eq. 47, would have chosen otherwise with some seed.
+        assert any(differs)
+
+    def test_without_them_both_errors_are_one(self):
+        for scores in select_models(self.points).scores.values():
+            for score in scores.values():
+                assert score.cv_robust == score.cv
+
+    def test_do_not_bound_the_domain(self):
+        clean = select_models(self.points).model
+        wrong, _ = with_outliers(self.points, 0.01, 192.0, 0)
+        model = select_models(wrong).model
+        low, high = self.points.inputs().min(axis=0), self.points.inputs().max(axis=0)
+        margin = 0.3 * (high - low)
+        probe = np.random.default_rng(1).uniform(low - margin, high + margin, (20_000, 3))
+        inside, expected = model.inside(probe), clean.inside(probe)
+        # A hull of fewer of the same points: within, and hardly smaller.
+        assert not np.any(inside & ~expected)
+        assert inside.sum() > 0.95 * expected.sum()
+
+    def test_are_counted(self):
+        wrong, clean = with_outliers(self.points, 0.05, 64.0, 0)
+        found = select_models(wrong, seed=3)
+        assert found.to_dict()["n"] == {
+            "train": 800,
+            "validation": 200,
+            "gross": len(np.setdiff1d(found.train, clean)),
+        }
+
+
+def test_forms_that_points_are_enough_for():
+    # 80 % train: 4, 5, 8 (more than 7), 11 and 21 of them.
+    for n, forms in ((6, ("M1",)), (10, ("M1", "M2")), (14, FORMS[:3]), (26, FORMS)):
+        assert forms_for(n) == forms
+        assert set(select_models(rig_points(n, 0.05), forms=forms).scores["x"]) == set(forms)
+    with pytest.raises(InputError, match=r"at least 5 training points.*got 4 of 5 that train"):
+        forms_for(5)
+
+
 class TestMultivariate:
     points = rig_points(1500, 0.05)
 
@@ -193,10 +270,27 @@ class TestRefusals:
             select_models(rig_points(100, 0.1), **options)
 
     def test_too_few_points(self):
-        with pytest.raises(InputError, match="model M4: expected at least 21 points"):
+        expected = (
+            r"model M4: expected at least 21 different training points "
+            r"\(or --models M1,M2,M3\), got 20 of 25 that train$"
+        )
+        with pytest.raises(InputError, match=expected):
             select_models(rig_points(25, 0.1))
+        with pytest.raises(InputError, match=r"\(or --models M1\), got 6 of 8 that train$"):
+            select_models(rig_points(8, 0.1))
+        with pytest.raises(InputError, match="at least 5 different training points, got 3 of 4"):
+            select_models(rig_points(4, 0.1), forms=("M1",))
         # The candidates that they are enough for can be asked for.
         assert select_models(rig_points(25, 0.1), forms=("M1", "M2")).selected["x"] in FORMS[:2]
+
+    @pytest.mark.parametrize("different", [19, 20])
+    @pytest.mark.parametrize("multivariate", [False, True])
+    def test_repeated_points_are_counted_once(self, different, multivariate):
+        some = rig_points(different, 0.1)
+        repeated = some.select(np.repeat(np.arange(different), 10))
+        expected = f"got {8 * different} of {10 * different} that train, {different} different"
+        with pytest.raises(InputError, match=expected):
+            select_models(repeated, multivariate=multivariate)
 
     def test_one_height(self):
         points = rig_points(200, 0.1)
