@@ -155,6 +155,33 @@ def test_a_worse_stage_is_trusted_less(seed):
     assert np.abs(sure.shifts_mm).max() <= np.abs(unsure.shifts_mm).max() + 1e-6
 
 
+class TestWithoutNoise:
+    """Residuals of zero are as good as single precision, not perfect."""
+
+    def register(self, cloud, **options):
+        return register([cloud, cloud], np.zeros((2, 3)), **options)
+
+    @pytest.mark.parametrize("kind", ["rough", "plane"])
+    @pytest.mark.parametrize("size", [1.0, 1e3])
+    def test_a_view_against_itself_stays_where_it_is(self, kind, size):
+        cloud = stage_views(kind, 1, seed=1, count=6000, sigma_mm=0.0).clouds[0]
+        if kind == "plane":
+            cloud[:, 2] = 0.0
+        found = self.register(size * cloud)
+        assert found.rms_mm == 0.0
+        # Single precision of the views' size.
+        np.testing.assert_allclose(found.shifts_mm, 0.0, atol=1e-7 * size)
+        # What both views have in common is as uncertain as the mean of two stage positions; single
+        # precision of the large view, 50 nm on slopes of 0.015, adds 3 %.
+        across = found.sd_mm[:, 2] if kind == "plane" else found.sd_mm
+        np.testing.assert_allclose(across, STAGE_SIGMA_MM / np.sqrt(2.0), rtol=0.05)
+
+    def test_a_stage_that_counts_for_nothing_beside_them(self):
+        cloud = stage_views("rough", 1, seed=1, count=6000).clouds[0]
+        with pytest.raises(InputError, match="double precision"):
+            self.register(cloud, stage_sigma_rad=0.9, stage_sigma_mm=0.4)
+
+
 class TestBadInput:
     cloud = np.random.default_rng(0).uniform(-0.3, 0.3, (3000, 3)) * [1.0, 1.0, 0.001]
 
@@ -187,7 +214,18 @@ class TestBadInput:
         line = np.column_stack((np.linspace(0, 1, 500), np.zeros((500, 2))))
         self.refuse("line", [line, line], np.zeros((2, 3)))
 
-    @pytest.mark.parametrize("option", [{"stage_sigma_mm": 0.0}, {"voxel_mm": -1.0}, {"rounds": 0}])
+    @pytest.mark.parametrize(
+        "option",
+        [
+            {"stage_sigma_mm": 0.0},
+            {"stage_sigma_mm": 1e6},  # larger than the view
+            {"stage_sigma_mm": 1e-300},  # its square is none
+            {"stage_sigma_mm": np.nan},
+            {"stage_sigma_rad": 1e6},
+            {"voxel_mm": -1.0},
+            {"rounds": 0},
+        ],
+    )
     def test_options(self, option):
         self.refuse("expected", [self.cloud, self.cloud], np.zeros((2, 3)), **option)
 

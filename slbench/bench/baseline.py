@@ -28,6 +28,7 @@ from slbench.bench.check import Regression, Result
 from slbench.bench.claims import Claim
 from slbench.bench.pools import Pools
 from slbench.bench.tiles import holm
+from slbench.bench.verdicts import ROUNDING
 from slbench.errors import InputError
 from slbench.io import plain, read_json, write_json
 from slbench.validation import Finite, Parameters, validated
@@ -36,9 +37,7 @@ Array = NDArray[np.float64]
 
 #: Probability of one or more false alarms among the claims of a file.
 ALPHA = 0.01
-_FORMAT = 1
-#: Differences below this are rounding, relative to the values.
-_ROUNDING = 1e-9
+_FORMAT = 2
 
 
 class _Entry(Parameters):
@@ -110,7 +109,8 @@ def read_baseline(path: str | Path) -> Baseline:
     """
     file = validated(_File, read_json(path), str(path), separator=": ")
     if file.format != _FORMAT:
-        raise InputError(f"{path}: format", str(_FORMAT), file.format)
+        expected = f"{_FORMAT} (--update writes a new one)"
+        raise InputError(f"{path}: format", expected, file.format)
     for name, entry in file.claims.items():
         settings = entry.identity.get("settings")
         if not isinstance(settings, dict) or type(settings.get("preview")) is not bool:
@@ -200,9 +200,9 @@ def p_worse(old: ArrayLike, new: ArrayLike, sign: int, middle: float = 0.0) -> f
     if sign == 0 and abs(b.mean() - middle) <= abs(a.mean() - middle):
         return 1.0
     scale = max(float(np.abs(a).max()), float(np.abs(b).max()))
-    if max(np.ptp(a), np.ptp(b)) <= _ROUNDING * scale:
+    if max(np.ptp(a), np.ptp(b)) <= ROUNDING * scale:
         # Constant on both sides: any change is one, for the worse or not.
-        changed = abs(change) > _ROUNDING * scale and (sign == 0 or sign * change > 0.0)
+        changed = abs(change) > ROUNDING * scale and (sign == 0 or sign * change > 0.0)
         return 0.0 if changed else 1.0
     alternative = {1: "greater", -1: "less", 0: "two-sided"}[sign]
     return float(ttest_ind(b, a, equal_var=False, alternative=alternative).pvalue)

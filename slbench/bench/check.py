@@ -14,6 +14,7 @@ from slbench.bench.claims import Claim
 from slbench.bench.pools import Pools
 from slbench.bench.statistics import Interval
 from slbench.bench.verdicts import MAX_REPEATS, Verdict, judge_each, judge_mean
+from slbench.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -135,11 +136,15 @@ def check_claim(claim: Claim, pools: Pools) -> Result:
     Raises
     ------
     InputError
-        If its scene cannot be measured, or has no such quantity.
+        Naming the claim, if its scene cannot be measured or has no such quantity.
     """
     start = time.perf_counter()
     pools.check(claim)
-    values, others = pools.measure(claim)
+    try:
+        values, others = pools.measure(claim)
+    except InputError as error:
+        where = f'claim "{claim.name}": {error.where}'
+        raise InputError(where, error.expected, error.got) from None
     seconds = time.perf_counter() - start
     pairs = list(zip(claim.limits, others, strict=True))
     margins = [limit.margin(values, other) for limit, other in pairs]

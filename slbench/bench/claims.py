@@ -12,8 +12,9 @@
 
 A bound is a number, or another quantity with a factor before it, ``"0.5 * set[1,2,4].rms_mm"``:
 that form and no other is read, by a pattern; nothing is evaluated.  A key that is unknown, a
-bound in another unit than the quantity, a claim that could never hold: all are refused before
-anything is measured, in one line that names the file and the claim.
+bound in another unit than the quantity or that is the quantity itself, fewer repeats than could
+ever show what is claimed: all are refused before anything is measured, in one line that names the
+file and the claim.
 """
 
 from __future__ import annotations
@@ -267,11 +268,15 @@ def _claim(table: _Claim, where: str, folder: Path) -> Claim:
             raise InputError(f"{where}: versus", expected, table.quantity)
         other = validated(_Settings, table.versus, f"{where}: versus")
         versus = _settings(other, settings, folder, f"{where}: versus")
+    if versus == settings:
+        _check_others(table.quantity, limits, where)
     _check_keys(table, measure, where)
     if not table.name.isprintable():
         raise InputError(f"{where}: name", "one line of text", shown(table.name))
     each = _each(table.each, f"{where}: each")
     least = 2 if each is None else least_repeats(each, table.confidence)
+    if least > _MOST:
+        raise InputError(f"{where}: each", f"a share that {_MOST} repeats can show", each)
     usual = COMPARISONS if measure != "score" else REPEATS
     repeats = max(usual, least) if table.repeats is None else table.repeats
     if repeats < least:
@@ -322,6 +327,13 @@ def _check_name(quantity: str, where: str) -> None:
         raise unknown(where, quantity, [f"speed.{name}" for name in SPEED_FIELDS])
 
 
+def _check_others(quantity: str, limits: tuple[Limit, ...], where: str) -> None:
+    """Refuse a bound that is the quantity itself, which no measurement decides."""
+    if "".join(quantity.split()) in ["".join((limit.quantity or "").split()) for limit in limits]:
+        expected = "another quantity, or the same with other settings (versus)"
+        raise InputError(f"{where}: bound", expected, quantity)
+
+
 def _limits(table: _Claim, where: str) -> tuple[Limit, ...]:
     given = {key: getattr(table, key) for key in ("max", "min", "within")}
     used = [key for key, value in given.items() if value is not None]
@@ -340,16 +352,28 @@ def _limits(table: _Claim, where: str) -> tuple[Limit, ...]:
 
 def _limit(value: Any, sign: int, where: str) -> Limit:
     """Read a bound: a number, ``"quantity"`` or ``"factor * quantity"``."""
-    if isinstance(value, int | float) and not isinstance(value, bool) and np.isfinite(value):
-        return Limit(sign, float(value))
+    number = _number(value)
+    if number is not None:
+        return Limit(sign, number)
     match = _TIMES.fullmatch(value) if isinstance(value, str) else None
     if match is None:
         expected = 'a finite number, or text such as "0.5 * step[2.5].error_mm"'
         raise InputError(where, expected, shown(value))
-    factor = float(match[1] or 1.0)
+    factor = float(match[1] or 1.0)  # of text: infinite where it is too large
     if not np.isfinite(factor):
         raise InputError(where, "a finite factor", shown(value))
     return Limit(sign, factor, match[2])
+
+
+def _number(value: Any) -> float | None:
+    """Return a finite number; None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:  # TOML's integers have no end
+        return None
+    return number if np.isfinite(number) else None
 
 
 def _settings(table: _Settings, base: Settings, folder: Path, where: str = "") -> Settings:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -38,6 +38,8 @@ from slbench.bench.tiles import (
     compared,
     ranked,
     resamples_for,
+    shaken,
+    spread_draws,
     tile_numbers,
 )
 from slbench.design.repeats import tagged_seed
@@ -52,12 +54,14 @@ from slbench.truth import GroundTruth
 
 __all__ = [
     "Comparison",
+    "NothingToCompare",
     "Pair",
     "SetResult",
     "Step",
     "compare",
     "comparison_page",
     "draw",
+    "own_shifts",
     "write_comparison",
 ]
 
@@ -66,8 +70,17 @@ Progress = Callable[[str, float], None]
 
 #: Share of the repeats in which every set must have measured a pixel that is compared.
 MEASURED = 2.0 / 3.0
-#: Tag of the bootstrap's random stream; those of the sets have five.
-_BOOTSTRAP = 1
+#: Tags of the random streams of the bootstrap and of vibration; those of the sets have five.
+_BOOTSTRAP, _VIBRATION = 1, 2
+
+
+class NothingToCompare(InputError):
+    """Scans of which no pixel can be compared: no lit surface, or none that all sets measure."""
+
+
+def own_shifts(scene: Scene) -> int:
+    """Return the phase shifts of a set that states none: those of the scene's own patterns."""
+    return int(scene.specification.get("patterns", {}).get("shifts", 3))
 
 
 def compare(
@@ -77,7 +90,7 @@ def compare(
     repeats: int = 15,
     equal: Equal | None = None,
     seed: int = 0,
-    shifts: int = 3,
+    shifts: int | None = None,
     transport: Light | None = None,
     truth: GroundTruth | None = None,
     weights: WeightSource = "lit",
@@ -97,8 +110,8 @@ def compare(
     equal : {"frames", "photons"} or None
         What all sets are given the same of (:mod:`slbench.bench.sets`).
     seed : int
-    shifts : int
-        Phase shifts where a set gives none.
+    shifts : int, optional
+        Phase shifts where a set gives none; as the scene's own patterns by default.
     transport : LightTransport or sequence of LightTransport, optional
         Of the scene (one a focus setting), where it is at hand; traced otherwise.
     truth : GroundTruth, optional
@@ -117,9 +130,12 @@ def compare(
     BackendError
         If light has to be traced and Mitsuba cannot run here.
     InputError
-        For sets that cannot be compared (:func:`pattern_sets`), fewer than two repeats, or no
-        pixel that all sets measure.
+        For sets that cannot be compared (:func:`pattern_sets`), fewer than two repeats, and
+        weights by modulation without focus settings to weigh.
+    NothingToCompare
+        For no pixel that all sets measure.
     """
+    shifts = own_shifts(scene) if shifts is None else shifts
     chosen = pattern_sets(sets, scene, shifts=shifts, equal=equal)
     if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 2:
         raise InputError("repeats", "a whole number, at least 2", repr(repeats))
@@ -127,6 +143,8 @@ def compare(
         raise InputError("seed", "a whole number >= 0", seed)
     if weights not in ("lit", "modulation"):
         raise InputError("weights", "lit or modulation", repr(weights))
+    if weights != "lit" and scene.focus is None:
+        raise InputError("weights", f"focus settings in scene {scene.name}, to weigh", "none")
     report = on_progress or (lambda stage, fraction: None)
     seconds: dict[str, float] = {}
     begin = time.perf_counter()
@@ -145,7 +163,8 @@ def compare(
         true = _true(scene) if truth is None else truth
     smooth = np.flatnonzero(true.smooth())
     if not len(smooth):
-        raise InputError(f"scene {scene.name}", "smooth surface that the projector lights", "none")
+        expected = "smooth surface that the projector lights"
+        raise NothingToCompare(f"scene {scene.name}", expected, "none")
     found: dict[str, Repeats] = {}
     for k, one in enumerate(chosen):
 
@@ -178,6 +197,12 @@ def compare(
         }
         resamples = resamples_for(math.comb(len(chosen), 2))
         draws = bootstrap_medians(values, tiles, tagged_seed(seed, _BOOTSTRAP), resamples)
+        if scene.exposure.vibration_px > 0.0:
+            for one in chosen:
+                share = _shared(one, found[one.name], common)
+                own = one.seed(tagged_seed(seed, _VIBRATION), 0)
+                spread = spread_draws(repeats, own, resamples)
+                draws |= _widened(one.name, draws, share, spread)
         medians = {key: float(np.median(array)) for key, array in values.items()}
         results = tuple(
             _result(one, found[one.name], medians, draws, true, pixels, common) for one in chosen
@@ -241,7 +266,8 @@ def _common(found: dict[str, Repeats], repeats: int) -> NDArray[np.bool_]:
     if not common.any():
         shares = ", ".join(f"{name} {np.mean(enough):.2g}" for name, enough in often.items())
         expected = f"pixels that all of them measure in {least} of {repeats} repeats"
-        raise InputError("sets", expected, f"none; their shares of the smooth lit ones: {shares}")
+        got = f"none; their shares of the smooth lit ones: {shares}"
+        raise NothingToCompare("sets", expected, got)
     return common
 
 
@@ -250,6 +276,33 @@ def _quantities(result: Repeats) -> dict[str, Array]:
     scans = np.maximum(result.scans, 1)
     error = np.sqrt(result.square_mm2 / scans)
     return {"std": result.std_mm, "std_z": result.std_z_mm, "error": error}
+
+
+def _shared(one: PatternSet, found: Repeats, common: NDArray[np.bool_]) -> float:
+    """Return the share of a vibrating set's variance that moves all pixels alike.
+
+    What the detector is not predicted to cause; all of it for a Gray code alone, whose
+    prediction is its step and not its noise.
+    """
+    if not all(one.sequence.fringe_counts(axis) for axis in one.sequence.axes):
+        return 1.0
+    ratio = _std_over_predicted(found, common)
+    return 1.0 - 1.0 / max(ratio, 1.0) ** 2
+
+
+def _widened(
+    name: str, draws: Mapping[tuple[str, str], Array], share: float, spread: Array
+) -> dict[tuple[str, str], Array]:
+    """Return the draws of one set's medians with the uncertainty of its vibration."""
+    of = {"std": "std", "std_z": "std_z", "error": "std"}
+    return {
+        (name, quantity): shaken(draws[name, quantity], draws[name, std], share, spread)
+        for quantity, std in of.items()
+    }
+
+
+def _std_over_predicted(found: Repeats, common: NDArray[np.bool_]) -> float:
+    return float(np.sqrt(np.mean((found.std_mm[common] / found.predicted_mm[common]) ** 2)))
 
 
 def _result(
@@ -266,8 +319,6 @@ def _result(
         for quantity in ("std", "std_z", "error")
     }
 
-    predicted = found.predicted_mm[common]
-
     def image(values: Array) -> Array:
         picture = np.full(truth.lit.shape, np.nan)
         picture.ravel()[pixels] = values[common]
@@ -282,8 +333,8 @@ def _result(
         std_ci95_mm=interval["std"],
         std_z_median_mm=medians[one.name, "std_z"],
         std_z_ci95_mm=interval["std_z"],
-        predicted_mm=float(np.median(predicted)),
-        std_over_predicted=float(np.sqrt(np.mean((found.std_mm[common] / predicted) ** 2))),
+        predicted_mm=float(np.median(found.predicted_mm[common])),
+        std_over_predicted=_std_over_predicted(found, common),
         error_median_mm=medians[one.name, "error"],
         error_ci95_mm=interval["error"],
         bias_mm=float(np.mean(found.error_mm[common, 2])),

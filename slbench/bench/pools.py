@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench import resources
 from slbench.bench.claims import Claim, Settings
-from slbench.bench.compare import compare
+from slbench.bench.compare import NothingToCompare, compare, own_shifts
 from slbench.bench.comparison import SetResult
 from slbench.bench.quantities import check_set, pattern_set, resolve, score_values, set_value
 from slbench.bench.sets import pattern_sets
@@ -32,11 +33,13 @@ from slbench.design.repeats import tagged_seed
 from slbench.errors import InputError
 from slbench.io import plain
 from slbench.scan import scan
-from slbench.scene import Scene
+from slbench.scene import Scene, SceneObject
 from slbench.scenefile import load_scene
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
+
+_MESH = ("vertices", "faces")
 
 
 class Pools:
@@ -78,7 +81,7 @@ class Pools:
                 self.scene(settings)
             if claim.family == "set":
                 scene = self.scene(claim.settings)
-                shifts = _shifts(claim.settings, scene)
+                shifts = claim.settings.shifts or own_shifts(scene)
                 pattern_sets(claim.sets, scene, shifts=shifts, equal=claim.equal)
         except InputError as error:
             raise InputError(f"{where}: {error.where}", error.expected, error.got) from None
@@ -90,9 +93,17 @@ class Pools:
                 resolve(quantity, self.scene(claim.versus), f"{where}: bound")
 
     def fingerprint(self, settings: Settings) -> str:
-        """Return a digest of the scene's file, merged into what it extends."""
-        content = plain(self.scene(settings).specification, keep_non_finite=True)
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+        """Return a digest of a scene: of its file and of what that refers to.
+
+        The file is merged into what it extends.  Objects count by kind and parameters wherever
+        these are written, and those of mesh files by their vertices and faces.
+        """
+        scene = self.scene(settings)
+        content = {"file": scene.specification, "objects": [_made_of(i) for i in scene.objects]}
+        rig = scene.specification.get("rig", {}).get("file")
+        if rig is not None:
+            content["rig"] = _digest(resources.inside(settings.scene.parent, rig).read_bytes())
+        return _digest(json.dumps(plain(content, keep_non_finite=True), sort_keys=True).encode())
 
     def measure(self, claim: Claim) -> tuple[Array, list[Array]]:
         """Measure a claim's quantity and those of its limits.
@@ -118,7 +129,7 @@ class Pools:
         if claim.family == "set":
             name, field = pattern_set(quantity, claim.name)
             rows = self._comparisons(claim, scene)
-            return np.array([set_value(row[name], field) for row in rows])
+            return np.array([set_value(row[name], field) if row else np.nan for row in rows])
         if claim.family == "speed":
             rows = self._repeats(
                 ("speed", settings),
@@ -138,17 +149,21 @@ class Pools:
         return np.array([[row[name] for name in names] for row in rows]).max(axis=1)
 
     def _comparisons(self, claim: Claim, scene: Scene) -> list[dict[str, SetResult]]:
+        """Return the sets' results, repeat by repeat; none where nothing can be compared."""
         settings = claim.settings
 
         def one(seed: int) -> dict[str, SetResult]:
-            found = compare(
-                scene,
-                claim.sets,
-                repeats=claim.scans,
-                equal=claim.equal,
-                seed=seed,
-                shifts=_shifts(settings, scene),
-            )
+            try:
+                found = compare(
+                    scene,
+                    claim.sets,
+                    repeats=claim.scans,
+                    equal=claim.equal,
+                    seed=seed,
+                    shifts=settings.shifts or own_shifts(scene),
+                )
+            except NothingToCompare:
+                return {}
             # Without the maps, which are large.
             none = np.empty((0, 0))
             return {
@@ -171,10 +186,17 @@ class Pools:
         return rows[:count]
 
 
-def _shifts(settings: Settings, scene: Scene) -> int:
-    """Return the shifts of a set that states none: the claim's, else the scene's."""
-    own = scene.specification.get("patterns", {}).get("shifts", 3)
-    return settings.shifts or int(own)
+def _made_of(item: SceneObject) -> dict[str, Any]:
+    """Return what an artefact is built from; wherever its files stand."""
+    artefact = item.artefact
+    values = {key: value for key, value in artefact.parameters.items() if key != "path"}
+    if artefact.kind == "mesh":
+        values |= {part: _digest(getattr(artefact.mesh, part).tobytes()) for part in _MESH}
+    return {"kind": artefact.kind, "parameters": values}
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
 
 
 def _load(settings: Settings) -> Scene:

@@ -158,9 +158,13 @@ def check_set(text: str, scene: Scene, where: str) -> None:
         return
     selector = name[len("step[") : name.index("]")]
     heights = [f.nominal_mm for f in features_of(scene) if f.kind == "step"]
-    given = [h for h in heights if h is not None and f"{h:g}" == selector]
+    try:
+        height = float(selector)
+    except ValueError:
+        height = float("nan")
+    given = [h for h in heights if h is not None and abs(h - height) < 1e-9]
     if len(given) != 1:
-        known = ", ".join(f"{h:g}" for h in heights if h is not None) or "none"
+        known = ", ".join(f"{h:.12g}" for h in heights if h is not None) or "none"
         raise InputError(where, f"the height of one step of the scene ({known})", repr(text))
 
 

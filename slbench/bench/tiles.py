@@ -6,6 +6,13 @@ of a tile together (a cluster bootstrap: Davison and Hinkley, "Bootstrap Methods
 Application", 3.8).  The same tiles are drawn for every pattern set: what makes a tile harder
 for all of them cancels in differences and ratios (paired bootstrap).
 
+*What moves all pixels of a frame alike*, vibration, no draw of pixels shows: there the repeats are
+the sampling units, few of them.  Its share C of the variance is widened by what a deviation of R
+normal values leaves open, sigma^2 = s^2 (R - 1) / chi^2: draws of a median deviation s become
+s sqrt(1 - C + C f^2) with f^2 = (R - 1) / chi^2_{R-1} (:func:`spread_draws`, :func:`shaken`),
+independently for every pattern set.  Pixels do not move quite alike, as they have different
+phases, so that these intervals are rather too wide than too narrow.
+
 A difference's p value is twice the smaller share of draws on either side of zero; of several
 pairs, those are significant whose p values survive Holm's step-down correction (S. Holm,
 Scandinavian Journal of Statistics 6, 1979) at a family-wise error of 5 %.
@@ -195,6 +202,36 @@ def bootstrap_medians(
     return dict(zip(values, draws.T, strict=True))
 
 
+def spread_draws(repeats: int, seed: int, resamples: int) -> Array:
+    """Return draws of what a variance may be, over what so few repeats made it, (draws,).
+
+    Parameters
+    ----------
+    repeats : int
+        Scans that the variance is estimated from, at least two.
+    seed, resamples : int
+    """
+    freedom = repeats - 1
+    return freedom / np.random.default_rng(seed).chisquare(freedom, resamples)
+
+
+def shaken(draws: Array, std: Array, share: float, spread: Array) -> Array:
+    """Return draws of a median with what is uncertain about what moves all pixels alike.
+
+    Parameters
+    ----------
+    draws : (draws,) float
+        Of the median deviation, or of the median error, which contains that deviation.
+    std : (draws,) float
+        Of the median deviation.
+    share : float
+        Of the variance: what moves all pixels alike, 0 to 1.
+    spread : (draws,) float
+        Of :func:`spread_draws`.
+    """
+    return np.sqrt(np.maximum(draws**2 + share * (spread - 1.0) * std**2, 0.0))
+
+
 def compared(medians: Mapping[str, float], draws: Mapping[str, Array]) -> tuple[Pair, ...]:
     """Compare every pair of sets by their medians.
 
@@ -229,16 +266,21 @@ def p_value(differences: Array) -> float:
     """Return the two-sided bootstrap p value of paired differences (draws,) being none.
 
     One draw is added to either side: no finite number of draws proves a probability of zero.
+    A difference that is not a number counts on both sides.
     """
-    either = min(np.count_nonzero(differences <= 0.0), np.count_nonzero(differences >= 0.0))
+    either = min(np.count_nonzero(~(differences > 0.0)), np.count_nonzero(~(differences < 0.0)))
     return min(1.0, float(2.0 * (either + 1.0) / (len(differences) + 1.0)))
 
 
 def holm(p_values: Sequence[float], family_error: float = FAMILY_ERROR) -> list[bool]:
-    """Tell which of several p values are significant (Holm's step-down correction)."""
-    significant = [False] * len(p_values)
-    for rank, k in enumerate(np.argsort(p_values, kind="stable")):
-        if p_values[k] * (len(p_values) - rank) >= family_error:
+    """Tell which of several p values are significant (Holm's step-down correction).
+
+    One that is not a number counts as 1: it proves nothing, and is one of the family.
+    """
+    known = np.nan_to_num(np.asarray(p_values, float), nan=1.0)
+    significant = [False] * len(known)
+    for rank, k in enumerate(np.argsort(known, kind="stable")):
+        if known[k] * (len(known) - rank) >= family_error:
             break
         significant[k] = True
     return significant

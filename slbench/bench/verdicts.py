@@ -16,6 +16,9 @@ interval of Clopper and Pearson (Biometrika 26, 1934) for the share of all measu
 distribution-free, is compared with the share that is claimed.  To hold needs repeats enough: 72
 for a share of 0.95 at a confidence of 0.95, all within.
 
+*Bounds are included*, and so is what only rounding puts beyond them: a margin below ``ROUNDING`` of
+the value is zero.
+
 *How many repeats would decide?*  Where mean and spread are as they were seen, n repeats decide with
 a probability of about ``POWER`` if::
 
@@ -39,6 +42,8 @@ Status = Literal["holds", "fails", "undecided"]
 
 #: Probability with which the stated number of repeats would decide.
 POWER = 0.9
+#: Differences below this are rounding, relative to the values.
+ROUNDING = 1e-9
 #: More repeats than this are no advice.
 MAX_REPEATS = 10_000
 
@@ -105,7 +110,7 @@ def judge_mean(values: ArrayLike, margins: Sequence[ArrayLike], confidence: floa
     Verdict
         Fails where any number is missing: what was not measured does not hold.
     """
-    x, m = np.asarray(values, float), np.atleast_2d(np.asarray(margins, float))
+    x, m = _arrays(values, margins)
     missing = int(np.count_nonzero(~(np.isfinite(x) & np.isfinite(m).all(axis=0))))
     if missing:
         none = Interval(float("nan"), float("nan"), float("nan"))
@@ -137,7 +142,7 @@ def judge_each(
     share : float
         In (0, 1).
     """
-    x, m = np.asarray(values, float), np.atleast_2d(np.asarray(margins, float))
+    x, m = _arrays(values, margins)
     seen = np.isfinite(x) & np.isfinite(m).all(axis=0)
     within = np.zeros(len(x), bool)
     within[seen] = (m[:, seen] >= 0.0).all(axis=0)
@@ -167,6 +172,12 @@ def least_repeats(share: float, confidence: float) -> int:
     """Return the fewest repeats that can show a share, all of them within the bounds."""
     # share_interval(n, n).low is tail**(1 / n).
     return int(np.ceil(np.log(0.5 * (1.0 - confidence)) / np.log(share) - 1e-9))
+
+
+def _arrays(values: ArrayLike, margins: Sequence[ArrayLike]) -> tuple[Array, Array]:
+    """Return values (n,) and margins (1 or 2, n), those that are but rounding as zero."""
+    x, m = np.asarray(values, float), np.atleast_2d(np.asarray(margins, float))
+    return x, np.where(np.abs(m) <= ROUNDING * np.abs(x), 0.0, m)
 
 
 def _repeats_for_mean(margin: Array, confidence: float) -> int | None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +17,6 @@ from slbench.errors import InputError
 
 if TYPE_CHECKING:
     from slbench.bench.check import Result
-    from slbench.bench.claims import Claim
 
 _STYLES = {"holds": "green", "fails": "red", "regressed": "red", "undecided": "yellow"}
 
@@ -58,13 +59,18 @@ def check(
 
     loaded = load_claims(claims, preview=preview)
     kept = baseline or default_path(claims)
-    for option, path in (("--junit", junit), ("--baseline", kept if update else None)):
-        if path is not None and path.is_dir():
-            raise InputError(option, "the name of a file", f"{path}, a folder")
+    if junit is not None:
+        _check_path("--junit", junit, claims, kept)
+    if update:
+        _check_path("--baseline", kept, claims)
+        if preview and kept.is_file() and not read_baseline(kept).preview:
+            expected = f"no --preview, or another --baseline: {kept} is of full size"
+            raise InputError("--update", expected, "--preview")
     with progress(as_json) as report:
         pools = Pools(seed, report)
-        for claim in loaded:
-            _check(claim, pools, claims)
+        with _naming(claims):
+            for claim in loaded:
+                pools.check(claim)
         old: Baseline | None = None
         if not update and (baseline is not None or kept.is_file()):
             old = read_baseline(kept)
@@ -73,14 +79,20 @@ def check(
                 old = None
             else:
                 check_fit(old, loaded, pools)
-        results = [check_claim(claim, pools) for claim in loaded]
+        with _naming(claims):
+            results = [check_claim(claim, pools) for claim in loaded]
     if old is not None:
         results = with_regressions(results, compare_with(old, results))
-    if update:
-        write_baseline(kept, results, pools)
-    if junit is not None:
-        write_junit(junit, claims, results)
-    status = exit_status(results)
+    # What was measured is shown even where a file cannot be written.
+    refused: InputError | None = None
+    try:
+        if junit is not None:
+            write_junit(junit, claims, results)
+        if update:
+            write_baseline(kept, results, pools)
+    except InputError as error:
+        refused = error
+    status = 2 if refused else exit_status(results)
     if as_json:
         print_json(_summary(claims, results, seed, old is not None, status))
     else:
@@ -88,17 +100,33 @@ def check(
         for result in results:
             if result.outcome != "holds":
                 print(f"{result.claim.name}: {result.line()}")
-        if update:
+        if update and not refused:
             print(f"Baseline written to {kept}")
+    if refused:
+        raise refused
     raise typer.Exit(status)
 
 
-def _check(claim: Claim, pools: Any, path: Path) -> None:
-    """Check a claim before any is measured; an error names the file."""
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Put the file's name into an error that names a claim."""
     try:
-        pools.check(claim)
+        yield
     except InputError as error:
         raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
+
+
+def _check_path(option: str, path: Path, *others: Path) -> None:
+    """Refuse a file that cannot be written or that is another, before anything is measured."""
+    if path.is_dir():
+        raise InputError(option, "the name of a file", f"{path}, a folder")
+    there = next(p for p in path.absolute().parents if p.exists())
+    if not there.is_dir():
+        raise InputError(option, "a file in a folder", f"{there}, a file")
+    for other in others:
+        both = path.exists() and other.exists()
+        if path.resolve() == other.resolve() or (both and path.samefile(other)):
+            raise InputError(option, "a file of its own", path)
 
 
 def _summary(

@@ -57,7 +57,7 @@ def compare(
 ) -> None:
     """Compare pattern sets on a scene: repeated scans in the same light."""
     from slbench.bench.compare import compare as run
-    from slbench.bench.compare import comparison_page, write_comparison
+    from slbench.bench.compare import comparison_page, own_shifts, write_comparison
     from slbench.bench.comparefigure import verdict
     from slbench.bench.sets import pattern_sets
     from slbench.scenefile import load_scene
@@ -71,7 +71,7 @@ def compare(
 
         check_page_path(report, "--report")
     loaded = load_scene(scene, preview=preview)
-    pattern_sets(sets, loaded, equal=equal)  # type: ignore[arg-type]
+    pattern_sets(sets, loaded, shifts=own_shifts(loaded), equal=equal)  # type: ignore[arg-type]
     folder = out or Path("out") / f"compare-{loaded.name}"
     check_folder(folder)
     with progress(as_json) as bar:

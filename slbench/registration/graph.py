@@ -35,7 +35,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from slbench.errors import InputError
 from slbench.registration.pairs import LEAST_PAIRS, Edge, Pair, View, align, voxel_size
@@ -51,6 +51,8 @@ STAGE_SIGMA_RAD = 2e-4
 _LEAST_SHARE = 0.05
 #: ICP that moves a view by more deviations of the stage than this has slid.
 FARTHEST = 8.0
+#: Smallest deviations, mm and rad: below, they are a slip of the unit.
+_LEAST_SIGMA = 1e-9
 
 
 @dataclass(frozen=True)
@@ -170,7 +172,8 @@ def register(
     positions_mm : (K, 3) float
         Where the stage was told to move the object for each view.
     stage_sigma_mm, stage_sigma_rad : float
-        Standard deviation of the stage's position and of its tilt, each axis.
+        Standard deviation of the stage's position and of its tilt, each axis: smaller than the
+        views, and than 1 rad.
     voxel_mm : float, optional
         Clouds are averaged in voxels of this size for alignment; chosen so that a view has some
         20,000 by default.
@@ -187,14 +190,11 @@ def register(
     Raises
     ------
     InputError
-        For fewer than two views, clouds that are empty or not finite, or views that do not hang
-        together by their overlaps.
+        For fewer than two views, clouds that are empty or not finite, views that do not hang
+        together by their overlaps, or deviations of the stage that are out of range.
     """
     called = [f"view {k + 1}" for k in range(len(clouds))] if names is None else list(names)
     points, nominal = _checked(clouds, positions_mm, called)
-    for name, value in (("stage sigma", stage_sigma_mm), ("stage tilt", stage_sigma_rad)):
-        if not 0.0 < value < np.inf:
-            raise InputError(name, "a positive number", value)
     if voxel_mm is not None and not 0.0 < voxel_mm < np.inf:
         raise InputError("voxel", "a positive length (mm)", voxel_mm)
     if rounds < 1:
@@ -202,6 +202,13 @@ def register(
     voxel = voxel_mm or max(voxel_size(cloud) for cloud in points)
     # ICP's tolerances are absolute: all lengths are in units of the largest view's radius.
     unit = max(float(np.sqrt(np.mean(np.ptp(cloud, axis=0) ** 2))) for cloud in points)
+    for name, value, most, si in (
+        ("stage sigma", stage_sigma_mm, unit, "mm"),
+        ("stage tilt", stage_sigma_rad, 1.0, "rad"),
+    ):
+        if not _LEAST_SIGMA <= value < most:
+            expected = f"from {_LEAST_SIGMA:g} to below {most:.4g} {si}, as turns and shifts"
+            raise InputError(name, f"{expected} are small beside the views", value)
     views = [View(*args, voxel, unit) for args in zip(points, nominal, called, strict=True)]
     reach = 2.0 * voxel + 4.0 * stage_sigma_mm
     farthest = FARTHEST * stage_sigma_mm
@@ -286,7 +293,11 @@ def _adjusted(
         right += jacobian.T @ (edge.information @ edge.motion)
     # Turns are some 1e-4 of the shifts' inverse: balanced before they are factored.
     scale = 1.0 / np.sqrt(np.diagonal(normal))
-    factor = cho_factor(normal * np.outer(scale, scale))
+    try:
+        factor = cho_factor(normal * np.outer(scale, scale))
+    except LinAlgError:
+        expected = "deviations that count in double precision beside what the overlaps know"
+        raise InputError("stage", expected, "far greater ones than the residuals") from None
     step = scale * cho_solve(factor, scale * right)
     covariance = cho_solve(factor, np.eye(size)) * np.outer(scale, scale)
     return state + step.reshape(state.shape), covariance

@@ -38,6 +38,9 @@ _BLOCKS = 8
 _MAX_ITERATIONS = 30
 #: ICP ends at steps of 0.1 um for views of 1 mm; a linear step follows, and another round.
 _EPSILON = 1e-4
+#: Least mean square of residuals, units squared: clouds come in single precision.  Without noise
+#: an overlap would claim to know so much that nothing else counts beside it in double precision.
+_ROUNDING = 1e-14
 
 
 def voxel_size(points: Array) -> float:
@@ -227,7 +230,7 @@ def align(first: View, second: View, a: Array, b: Array, reach: float, farthest:
     done = base @ relative @ np.linalg.inv(start)
     motion[:3] += Rotation.from_matrix(done[:3, :3]).as_rotvec()
     motion[3:] += centre - np.linalg.solve(done, np.append(centre, 1.0))[:3]
-    information = known / (max(float(np.mean(left**2)), 1e-24) * _alike(pair.q, left))
+    information = known / (max(float(np.mean(left**2)), _ROUNDING) * _alike(pair.q, left))
     scale = np.repeat([1.0, unit], 3)
     information /= np.outer(scale, scale)
     return Edge(motion * scale, information, directions.shape[1], centre * unit)
@@ -273,5 +276,5 @@ def _alike(places: Array, residuals: Array) -> float:
     some = counts >= 10
     if not some.any():
         return 1.0
-    variance = max(float(np.mean(residuals**2)), 1e-24)
+    variance = max(float(np.mean(residuals**2)), _ROUNDING)
     return max(1.0, float(np.mean(counts[some] * means[some] ** 2)) / variance)

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
+import trimesh
 from scenes_small import at, scene_of, small, write_scene
 
 import slbench.bench.pools as pooling
@@ -28,19 +29,25 @@ from slbench.bench.baseline import (
 )
 from slbench.bench.check import check_claim, exit_status, with_regressions
 from slbench.bench.claims import load_claims
+from slbench.bench.compare import compare
+from slbench.bench.comparison import Step
 from slbench.bench.junit import write_junit
 from slbench.bench.pools import Pools
 from slbench.bench.quantities import (
     FEATURE_FIELDS,
+    check_set,
     features_of,
     quantities_of,
     resolve,
     score_values,
+    set_value,
     unit,
 )
 from slbench.bench.tiles import holm
 from slbench.errors import InputError
+from slbench.rig.opencv import write_rig
 from slbench.scan import scan
+from slbench.scenefile import load_scene
 from slbench.score import Score
 
 BASE = {"scene": "small.toml", "repeats": 5}
@@ -113,6 +120,20 @@ class TestQuantities:
         for selector in ("2.5", "2.50", "step_2", "step-block-5/step_2", "step-block-5/2.5"):
             assert resolve(f"step[{selector}].error_mm", scene, "here") == chosen
         assert len(resolve("step[*].error_mm", scene, "here")) == 3
+
+    def test_a_step_of_a_comparison_is_chosen_to_the_nanometre(self):
+        heights = (1.5, 2.500012)
+        values = {"heights_mm": heights, "step_length_mm": 14.0, "width_mm": 30.0}
+        scene = scene_of([at(objects.build("step_block", values))])
+        steps = tuple(Step(h, h, k * 1e-3) for k, h in enumerate(heights))
+        result = types.SimpleNamespace(steps=steps)
+        for text, std in (("1.50", 0.0), ("2.500012", 1e-3), ("2.5000120", 1e-3)):
+            quantity = f"set[1,10].step[{text}].std_mm"
+            check_set(quantity, scene, "here")
+            assert set_value(result, quantity.partition(".")[2]) == std
+        # Six digits of it are another height.
+        with pytest.raises(InputError, match=r"1\.5, 2\.500012"):
+            check_set("set[1,10].step[2.50001].std_mm", scene, "here")
 
     def test_spheres_and_their_spacing(self):
         scene = small("sphere", divisor=2, samples=8)
@@ -225,6 +246,41 @@ class TestChecking:
         assert result.outcome == "fails"
         assert "was not measured in 2 of 2 repeats" in result.line()
 
+    def test_a_comparison_of_the_dark_fails_and_stops_no_other(self, tmp_path):
+        write_scene(tmp_path, exposure={"white_level": 0.01})
+        (tmp_path / "small.toml").rename(tmp_path / "dark.toml")
+        few = {"quantity": "set[1,10,50].rms_mm", "scans": 2, "repeats": 2, "max": 1.0}
+        results = check(
+            tmp_path,
+            few | {"name": "dark", "scene": "dark.toml"},
+            few | {"name": "lit"},
+        )
+        assert [r.outcome for r in results] == ["fails", "holds"]
+        assert "was not measured in 2 of 2 repeats" in results[0].line()
+
+    def test_an_error_while_measuring_names_the_claim(self, tmp_path, monkeypatch):
+        def refuse(*_, **__):
+            raise InputError("transport", "one", "none")
+
+        monkeypatch.setattr(pooling, "scan", refuse)
+        with pytest.raises(InputError, match='claim "step": transport: expected one, got none'):
+            check(tmp_path, STEP)
+
+    def test_sets_have_the_shifts_of_the_scene(self, tmp_path):
+        write_scene(tmp_path, patterns={"sequence": "1,10,50", "shifts": 5})
+        (tmp_path / "small.toml").rename(tmp_path / "five.toml")
+        few = {"scene": "five.toml", "scans": 2, "repeats": 2, "max": 1e3}
+        tables = [
+            few | {"name": "own", "quantity": "set[1,10].frames"},
+            few | {"name": "the claim's", "quantity": "set[1,10].frames", "shifts": 4},
+            few | {"name": "the set's", "quantity": "set[1,10@3].frames"},
+        ]
+        found = [result.values[0] for result in check(tmp_path, *tables)]
+        assert found == [10, 8, 6]
+        # As where they are compared directly.
+        scene = load_scene(tmp_path / "five.toml")
+        assert compare(scene, ["1,10"], repeats=2)["1,10"].frames == 10
+
     def test_comparisons(self, tmp_path):
         few = {"quantity": "set[1,10,50].std_median_mm", "scans": 3, "repeats": 2}
         much, little, step = check(
@@ -333,6 +389,53 @@ class TestBaseline:
         write_scene(tmp_path, exposure={"white_level": 0.5})
         with pytest.raises(InputError, match="another scene of claim"):
             check_fit(read_baseline(path), claims, Pools())
+
+    def test_another_object_in_the_same_file_is_another_scene(self, tmp_path):
+        def fingerprint():
+            pools = Pools()
+            (claim,) = claims_of(tmp_path, STEP | {"scene": "own.toml", "quantity": "rms_mm"})
+            return pools.fingerprint(claim.settings)
+
+        def seen(change):
+            """The digests before and after a change, the same again where nothing changed."""
+            before = fingerprint()
+            assert fingerprint() == before
+            change()
+            return before, fingerprint()
+
+        mesh, block = tmp_path / "part.stl", tmp_path / "block.toml"
+        mesh.write_bytes(trimesh.creation.box((20.0, 20.0, 5.0)).export(file_type="stl"))
+        plate = {"kind": "step_block", "source": "ours"}
+        sizes = {"heights_mm": [2.5], "step_length_mm": 14.0, "width_mm": 30.0}
+        block.write_text(tomli_w.dumps(plate | {"parameters": sizes}))
+        write_rig(tmp_path / "rig.yaml", small("plane").rig)
+        for table, change in (
+            (
+                {"mesh": "part.stl", "unit": "mm"},
+                lambda: mesh.write_bytes(
+                    trimesh.creation.box((40.0, 20.0, 5.0)).export(file_type="stl")
+                ),
+            ),
+            (
+                {"artefact": "block.toml"},
+                lambda: block.write_text(
+                    tomli_w.dumps(plate | {"parameters": sizes | {"heights_mm": [2.6]}})
+                ),
+            ),
+        ):
+            path = write_scene(tmp_path, objects=[table])
+            Path(path).rename(tmp_path / "own.toml")
+            before, after = seen(change)
+            assert after != before
+            # A comment is none.
+            if "artefact" in table:
+                before, after = seen(lambda: block.write_text("# ours\n" + block.read_text()))
+                assert after == before
+        rig = {"name": "own", "objects": [{"artefact": "plane"}], "rig": {"file": "rig.yaml"}}
+        (tmp_path / "own.toml").write_text(tomli_w.dumps(rig))
+        other = small("plane", divisor=2).rig
+        before, after = seen(lambda: write_rig(tmp_path / "rig.yaml", other))
+        assert after != before
 
     def test_bounds_may_change(self, tmp_path, path):
         tables = [RMS | {"max": 0.2}, BIAS, STEP | {"repeats": 4}]

@@ -68,6 +68,19 @@ class TestReading:
         assert len(claim.sets) == 2
         Pools().check(claim)
 
+    @pytest.mark.parametrize("bound", [10**23, -(10**22), 1e308])
+    def test_integers_as_large_as_they_come(self, tmp_path, bound):
+        assert read(tmp_path, max=bound).limits == (Limit(1, float(bound)),)
+
+    def test_the_same_quantity_with_other_settings(self, tmp_path):
+        claim = read(tmp_path, max="rms_mm", shifts=4, versus={"shifts": 3})
+        assert claim.limits == (Limit(1, 1.0, "rms_mm"),)
+
+    @pytest.mark.parametrize("height", ["2.5", "2.50", " 2.5 ", "25e-1"])
+    def test_a_height_is_a_number(self, tmp_path, height):
+        claim = read(tmp_path, quantity=f"set[1,10].step[{height}].std_mm")
+        Pools().check(claim)
+
     def test_both_bounds(self, tmp_path):
         claim = read(tmp_path, max=None, within=[0.01, "2 * smooth_rms_mm"])
         assert claim.limits == (Limit(-1, 0.01), Limit(1, 2.0, "smooth_rms_mm"))
@@ -117,6 +130,8 @@ class TestRefusals:
             ({"max": True}, "a finite number"),
             ({"max": float("nan")}, "a finite number"),
             ({"max": float("inf")}, "a finite number"),
+            ({"max": 10**400}, "a finite number"),
+            ({"max": None, "within": [0, -(10**400)]}, "a finite number"),
             ({"max": "__import__('os').getcwd()"}, "a finite number, or text"),
             ({"max": "0.5 * rms_mm * rms_mm"}, "a quantity that there is"),
             ({"max": "1e999 * rms_mm"}, "a finite factor"),
@@ -135,12 +150,21 @@ class TestRefusals:
             ({"quantity": "set[1,x].rms_mm"}, "1,10,50@4"),
             ({"quantity": "set[10].rms_mm"}, "one fringe or a Gray code first"),
             ({"quantity": "set[1,10].step[2.4].std_mm"}, "1, 2.5, 5"),
+            ({"quantity": "set[1,10].step[step_2].std_mm"}, "1, 2.5, 5"),
+            ({"quantity": "set[1,10].step[nan].std_mm"}, "1, 2.5, 5"),
+            ({"quantity": "set[1,10].step[2.50001].std_mm"}, "1, 2.5, 5"),
             ({"quantity": "speed.light"}, "speed.pattern_per_render"),
             ({"scene": "step-blok"}, "step-block"),
             ({"repeats": 1}, "greater than or equal to 2"),
             ({"repeats": 15.0}, "integer"),
             ({"each": True, "repeats": 71}, "at least 72"),
             ({"each": 1}, "a share between 0 and 1"),
+            ({"each": 0.9999}, "a share that 10000 repeats can show"),
+            ({"each": 0.9999999999, "repeats": 10_000}, "a share that 10000 repeats can show"),
+            ({"max": "rms_mm"}, "another quantity, or the same with other settings"),
+            ({"max": None, "within": [0.0, "2 * rms_mm "]}, "bound: expected another quantity"),
+            ({"max": "0.9 * rms_mm", "versus": {}}, "another quantity"),
+            ({"quantity": "set[1,10].rms_mm", "max": "set[1, 10].rms_mm"}, "another quantity"),
             ({"confidence": 1.0}, "less than or equal to 0.9999"),
             ({"name": "two\nlines"}, "one line"),
             ({"maximum": 1.0}, "'maximum'"),
@@ -182,7 +206,9 @@ KEYS += ["scans", "equal", "slow", "readme", "versus", "patterns", "shifts", "ax
 PLAIN = st.one_of(
     st.booleans(),
     st.integers(-(10**6), 10**6),
+    st.integers(-(10**400), 10**400),
     st.floats(),
+    st.floats(0.9, 1.0),
     st.sampled_from(["", "rms_mm", "step[", "]", "set[].x", "*", "2 * rms_mm", "../x", "u", "é"]),
     st.text(st.characters(exclude_categories=["Cs"]), max_size=12),
 )
@@ -208,6 +234,7 @@ def test_anything_is_read_or_refused_in_one_line(changes, tmp_path_factory):
         assert len(refused.splitlines()) == 1
     else:
         assert all(np.isfinite(limit.factor) for limit in claim.limits)
+        assert 1 <= claim.repeats <= 10_000
 
 
 #: Scenes are loaded once for all examples.

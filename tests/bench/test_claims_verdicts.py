@@ -64,6 +64,16 @@ class TestMeans:
         x = np.ones(5)
         assert judge_mean(x, [x - 1.0], 0.95).status == "holds"
 
+    def test_rounding_does_not_decide(self):
+        x, bound = np.full(5, 29.0), 0.29 * 100.0
+        assert bound < 29.0
+        assert judge_mean(x, [bound - x], 0.95).status == "holds"
+        assert judge_each(np.full(72, 29.0), [bound - np.full(72, 29.0)], 0.95, 0.95).share == (
+            share_interval(72, 72, 0.95)
+        )
+        # What is more than rounding does.
+        assert judge_mean(x, [29.0 - 1e-6 - x], 0.95).status == "fails"
+
     def test_what_was_not_measured_does_not_hold(self):
         x = np.array([0.1, np.nan, 0.1])
         verdict = judge_mean(x, [1.0 - x], 0.95)

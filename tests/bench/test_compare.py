@@ -19,6 +19,8 @@ from slbench.bench.tiles import (
     compared,
     holm,
     p_value,
+    shaken,
+    spread_draws,
     tile_numbers,
     tile_side,
 )
@@ -275,6 +277,71 @@ class TestRanking:
             comparison.pair("gray", "1,2,4", "rms")
 
 
+class TestVibration:
+    """All pixels of a frame move together: the repeats, not the pixels, are what is sampled."""
+
+    TWICE = ("1,10,50", "1,10,50@3")
+
+    def test_the_same_set_twice_is_not_told_apart(self):
+        # By tiles of pixels alone this seed is a false alarm in both rankings, as 11 of 12 are.
+        found = small_comparison(self.TWICE, repeats=15, seed=1, vibration_px=0.1)
+        for pairs in (found.pairs, found.error_pairs):
+            assert not pairs[0].significant
+            assert pairs[0].ratio_ci95[0] < 1.0 < pairs[0].ratio_ci95[1]
+        # sqrt(14 / chi^2) is 0.73 to 1.58 where vibration is nearly all there is.
+        for one in found.sets:
+            for median, ends in (
+                (one.std_median_mm, one.std_ci95_mm),
+                (one.std_z_median_mm, one.std_z_ci95_mm),
+            ):
+                assert ends[0] / median == pytest.approx(0.73, abs=0.03)
+                assert ends[1] / median == pytest.approx(1.58, abs=0.06)
+            assert one.error_ci95_mm[1] > 1.3 * one.error_median_mm
+
+    def test_little_vibration_widens_little(self):
+        # A hundredth of the variance at most: 0.8 % either way, beside 2 % of the tiles.
+        still, moved = (
+            small_comparison(("1,8",), repeats=15, vibration_px=v)["1,8"] for v in (0.0, 1e-3)
+        )
+        for one in (still, moved):
+            low, high = one.std_ci95_mm
+            assert high - low < 0.06 * one.std_median_mm
+        gray = small_comparison(("gray",), repeats=3, vibration_px=0.1)["gray"]
+        assert gray.std_ci95_mm == (0.0, 0.0)  # nothing to widen
+
+    def test_the_other_sets_change_no_draw(self):
+        there = small_comparison(self.TWICE, repeats=3, vibration_px=0.1)
+        back = small_comparison(self.TWICE[::-1], repeats=3, vibration_px=0.1)
+        assert there.pairs == back.pairs
+        assert there["1,10,50"].std_ci95_mm == back["1,10,50"].std_ci95_mm
+
+    def test_false_alarms_and_coverage(self):
+        # Equal sets whose pixels scatter together and by themselves, in equal parts, seen in six
+        # repeats.  Of 100 tests at 5 %, 13 or more alarm with a probability of 0.15 %; of 100
+        # intervals of 95 %, 88 or fewer cover with one of 0.4 %.
+        rng = np.random.default_rng(3)
+        tiles, repeats, share = np.repeat(np.arange(80), 25), 6, 0.5
+        alarms, covered = {False: 0, True: 0}, {False: 0, True: 0}
+        for trial in range(100):
+            std, draws, wide = {}, {}, {}
+            for k, name in enumerate("ab"):
+                common = rng.normal(size=(repeats, 1))
+                own = rng.normal(size=(repeats, tiles.size))
+                both = math.sqrt(share) * common + math.sqrt(1.0 - share) * own
+                std[name] = both.std(axis=0, ddof=1)
+                draws |= bootstrap_medians({name: std[name]}, tiles, trial, 500)
+                spread = spread_draws(repeats, 2 * trial + k, 500)
+                wide[name] = shaken(draws[name], draws[name], share, spread)
+            medians = {name: float(np.median(values)) for name, values in std.items()}
+            # Over many scans: the median of sqrt(chi^2_5 / 5) of the own part, some 4 % low.
+            for widened, drawn in ((False, draws), (True, wide)):
+                alarms[widened] += compared(medians, drawn)[0].significant
+                low, high = percentile_interval(drawn["a"])
+                covered[widened] += low <= 0.96 <= high
+        assert alarms[True] < 13 < 50 < alarms[False]
+        assert covered[True] > 88 > 50 > covered[False]
+
+
 class TestEqual:
     def test_frames(self):
         scene = small("step-block")
@@ -357,6 +424,7 @@ class TestBadInput:
             (["1,10"], {"repeats": 2.5}, "at least 2, got 2.5"),
             (["1,10"], {"seed": -1}, "seed"),
             (["1,10"], {"weights": "none"}, "lit or modulation"),
+            (["1,10"], {"weights": "modulation"}, "focus settings in scene step-block.*, got none"),
             (["1,10@1000", "1,10,50@1000"], {"equal": "frames"}, "at most 1000"),
         ],
     )
@@ -399,11 +467,16 @@ class TestStatistics:
         # By hand: 0.01 x 4 and 0.013 x 3 are below 0.05, 0.03 x 2 is not and stops the rest.
         assert holm([0.03, 0.01, 0.04, 0.013]) == [False, True, False, True]
         assert holm([]) == []
+        # What is not a number proves nothing, and is one of the family all the same.
+        assert holm([float("nan")]) == [False]
+        assert holm([0.02, float("nan"), 0.001]) == [True, False, True]
+        assert holm([0.026, float("nan")]) == [False, False]
 
     def test_p_values(self):
         assert p_value(np.ones(1999)) == pytest.approx(2.0 / 2000.0)
         assert p_value(np.zeros(1999)) == 1.0
         assert p_value(np.r_[np.ones(950), -np.ones(49)]) == pytest.approx(0.1)
+        assert p_value(np.full(1999, np.nan)) == 1.0
 
     def test_two_zeros_are_equal(self):
         draws = {"a": np.zeros(100), "b": np.zeros(100)}

@@ -103,6 +103,67 @@ def test_bad_input_is_refused_before_anything_is_measured(
     assert sorted(folder.iterdir()) == before
 
 
+def test_a_claim_without_a_value_is_shown_and_reported_and_not_kept(folder, monkeypatch):
+    import slbench.bench.pools as pooling
+
+    monkeypatch.setattr(pooling, "score_values", lambda result: dict.fromkeys(NAMES, float("nan")))
+    path, report = written(folder, TRUE), folder / "report.xml"
+    outcome = run_cli("check", path, "--update", "--junit", report)
+    assert outcome.status == 2
+    assert "true: fails: smooth_rms_px.u was not measured in 3 of 3 repeats" in outcome.out
+    assert outcome.err.startswith("error: ")
+    assert "a value in every repeat of every claim" in outcome.err
+    assert ElementTree.parse(report).getroot()[0].attrib["failures"] == "1"
+    assert not (folder / "some.claims.baseline.json").exists()
+    outcome = run_cli("check", path, "--update", "--json")
+    assert (outcome.status, json.loads(outcome.out)["status"]) == (2, 2)
+
+
+NAMES = ["smooth_rms_px.u"]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--junit", "afile/x.xml"], ["--junit", "afile, a file"]),
+        (["--update", "--baseline", "afile/b/x.json"], ["--baseline", "afile, a file"]),
+        (["--junit", "some.claims.toml"], ["--junit", "a file of its own"]),
+        (["--junit", "link.xml"], ["--junit", "a file of its own"]),
+        (["--junit", "some.claims.baseline.json"], ["--junit", "a file of its own"]),
+        (["--update", "--baseline", "some.claims.toml"], ["--baseline", "a file of its own"]),
+        (["--update", "--preview"], ["--update", "of full size", "--preview"]),
+    ],
+)
+def test_files_that_hold_something_else_are_left_alone(folder, monkeypatch, options, words):
+    import slbench.bench.pools as pooling
+
+    monkeypatch.setattr(pooling, "scan", lambda *a, **k: pytest.fail("a scan was made"))
+    monkeypatch.chdir(folder)
+    path = written(folder, TRUE)
+    (folder / "afile").write_text("something")
+    (folder / "link.xml").symlink_to(path)
+    kept = baseline_of(path, preview=False)
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+    check_refused(run_cli("check", path.name, *options), *words)
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+    # One of previews may be replaced.
+    if options == ["--update", "--preview"]:
+        baseline_of(path, preview=True)
+        monkeypatch.undo()
+        assert run_cli("check", path, *options).status == 0
+        assert json.loads(kept.read_text())["seed"] == 0
+
+
+def baseline_of(path, *, preview):
+    """Write a baseline beside a claims file as if it had been measured with another seed."""
+    identity = {"settings": {"preview": preview}}
+    entry = {"identity": identity, "scenes": ["a", "a"], "values": [1.0, 2.0]}
+    content = {"format": 2, "slbench": "0", "seed": 9, "claims": {"true": entry}}
+    kept = path.with_suffix(".baseline.json")
+    kept.write_text(json.dumps(content))
+    return kept
+
+
 def test_help_has_an_example():
     outcome = run_cli("check", "--help")
     assert outcome.status == 0

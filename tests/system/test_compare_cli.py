@@ -58,6 +58,14 @@ def test_people_get_a_table_and_the_rankings(tmp_path):
     assert str(out / "comparison.png") in done.out.replace("\n", "")
 
 
+def test_a_set_has_the_shifts_of_the_scene_unless_it_says(tmp_path):
+    scene = write_scene(tmp_path, patterns={"shifts": 4})
+    sets = ("--set", "1,8", "--set", "1,8@3")
+    done = run_cli("compare", scene, *sets, "--repeats", 2, "--out", tmp_path / "o", "--json")
+    assert done.status == 0, done.err
+    assert [one["frames"] for one in json.loads(done.out)["sets"]] == [8, 6]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

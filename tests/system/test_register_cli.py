@@ -64,6 +64,16 @@ def test_files_in_their_order_and_text(folder, tmp_path):
     assert "view10.ply" in outcome.out
 
 
+def test_one_view_twice(folder, tmp_path):
+    """Nothing but rounding between them."""
+    view, stage = folder / "views" / "view2.ply", tmp_path / "stage.csv"
+    write_table(stage, ("x_mm", "y_mm", "z_mm"), np.zeros((2, 3)))
+    arguments = ("register", view, view, "--positions", stage, "--out", tmp_path / "o", "--json")
+    outcome = run_cli(*arguments)
+    assert outcome.status == 0, outcome.err
+    assert json.loads(outcome.out)["rms_mm"] < 1e-7
+
+
 def test_bad_input(folder, tmp_path):
     stage, views = folder / "stage.csv", folder / "views"
     out = tmp_path / "never"
@@ -76,6 +86,7 @@ def test_bad_input(folder, tmp_path):
     refused(*two, "--positions", stage, words=["stage.csv", "2 rows", "got 3"])
     refused(views, "--positions", tmp_path / "none.csv", words=["none.csv"])
     refused(views, "--positions", stage, "--stage-um", 0, words=["--stage-um"])
+    refused(views, "--positions", stage, "--stage-um", 1e9, words=["stage sigma", "below", "mm"])
     refused(views, "--positions", stage, "--tilt-mrad", "nan", words=["--tilt-mrad"])
     refused(views, "--positions", stage, "--voxel-um", -1, words=["--voxel-um"])
     refused(folder, "--positions", stage, words=["folder of two PLY files"])
