@@ -142,7 +142,7 @@ def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
     findings = (
         *itertools.chain.from_iterable(std_findings(name, c) for name, c in found.items()),
         heights_finding(found[STEP_BLOCK], budget, seed),
-        same_heights_finding(found[STEP_BLOCK]),
+        same_heights_finding(found[STEP_BLOCK], seed),
         shaken_finding(shaken),
         *time_findings(timing, seed),
     )

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slbench.bench import thesis
 from slbench.bench.budget import Budget, heights_rms_mm
@@ -101,7 +102,7 @@ def heights_finding(found: Comparison, budget: Budget, seed: int) -> Finding:
     ratio = _heights_ratio(found, seed)
     bent = next(row for row in budget.rows if row.name.startswith("projector gamma"))
     wanted = [
-        _rms(np.array(thesis.BLOCK_20_MEASURED_MM[n]) - thesis.BLOCK_20_MM)
+        float(_rms(np.array(thesis.BLOCK_20_MEASURED_MM[n]) - thesis.BLOCK_20_MM))
         for n in (OURS, DOUBLING)
     ]
     why = (
@@ -124,19 +125,33 @@ def heights_finding(found: Comparison, budget: Budget, seed: int) -> Finding:
     )
 
 
-def same_heights_finding(found: Comparison) -> Finding:
-    """Judge whether heights are those of {1,2,4,8,16}, in half the steps (table 7)."""
-    measured = [np.array([s.measured_mm for s in found[n].steps]) for n in (OURS, LONG)]
-    ours = _rms(measured[0] - measured[1])
-    wanted = _rms(np.subtract(thesis.BLOCK_20_MEASURED_MM[OURS], thesis.BLOCK_20_MEASURED_MM[LONG]))
+def same_heights_finding(found: Comparison, seed: int) -> Finding:
+    """Judge whether heights are those of {1,2,4,8,16}, in half the steps (table 7).
+
+    The thesis's two sets differ by 24 um.  Heights as precise as ours would pass that with any
+    set, {1,2,4} included: they must also be nearer to those of {1,2,4,8,16} than to those of
+    {1,2,4}.
+    """
+    measured, drawn = _heights(found, SETS, seed)
+    ours, other = (_rms(measured[OURS] - measured[name]) for name in (LONG, DOUBLING))
+    apart = [_rms(drawn[OURS] - drawn[name]) for name in (LONG, DOUBLING)]
+    ratio = Interval(float(ours / other), *percentile_interval(apart[0] / apart[1]))
+    wanted = float(
+        _rms(np.subtract(thesis.BLOCK_20_MEASURED_MM[OURS], thesis.BLOCK_20_MEASURED_MM[LONG]))
+    )
+    nearer = order_verdict(ratio, less=True)
     return Finding(
         "ch7-same-heights",
         "... and similar to those of {1,2,4,8,16}, in half the unwrapping steps (table 7)",
-        "RMS difference of the mean heights no larger than the thesis's",
-        "reproduced" if ours <= wanted else "not reproduced",
-        f"RMS difference {1e3 * ours:.2f} µm; 2 unwrapping steps instead of 4.",
+        "RMS difference of the mean heights no larger than the thesis's, and smaller than that to "
+        "{1,2,4}: 95 % interval (over repeats) of their ratio below 1; in part if only the ratio "
+        "itself is",
+        nearer if ours <= wanted else "not reproduced",
+        f"RMS difference {1e3 * ours:.2f} µm, to {{1,2,4}} {1e3 * other:.2f} µm: ratio "
+        f"{ratio.value:.4f} ({ratio.low:.4f} to {ratio.high:.4f}); 2 unwrapping steps instead of "
+        "4.",
         1e3 * wanted,
-        1e3 * ours,
+        float(1e3 * ours),
         None,
         "µm",
     )
@@ -215,20 +230,36 @@ def time_findings(timing: Timing, seed: int) -> list[Finding]:
 
 def _heights_ratio(found: Comparison, seed: int, draws: int = 4000) -> Interval:
     """Return the ratio of RMS height errors with the interval that the repeats leave."""
+    errors, drawn = _heights(found, (OURS, DOUBLING), seed, draws)
+    value = float(_rms(errors[OURS]) / _rms(errors[DOUBLING]))
+    return Interval(value, *percentile_interval(_rms(drawn[OURS]) / _rms(drawn[DOUBLING])))
+
+
+def _heights(
+    found: Comparison, names: Sequence[str], seed: int, draws: int = 4000
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Return the errors of mean step heights, and draws of what the repeats leave open.
+
+    Returns
+    -------
+    errors : dict of name to (steps,) float
+        mm.
+    drawn : dict of name to (draws, steps) float
+        The same with Student's deviates, as the spread is estimated from the repeats themselves.
+    """
     rng = np.random.default_rng(tagged_seed(seed, _DRAWS))
-    rms, values = [], []
-    for name in (OURS, DOUBLING):
+    errors, drawn = {}, {}
+    for name in names:
         steps = found[name].steps
         if len(steps) != len(thesis.BLOCK_20_MM):
             raise InputError("step block", f"{len(thesis.BLOCK_20_MM)} steps measured", len(steps))
-        error = np.array([s.measured_mm - s.nominal_mm for s in steps])
+        errors[name] = np.array([s.measured_mm - s.nominal_mm for s in steps])
         spread = np.array([s.std_mm for s in steps]) / np.sqrt(found.repeats)
-        # Student's deviates, as the spread is estimated from the repeats themselves.
         deviates = rng.standard_t(found.repeats - 1, (draws, len(steps)))
-        rms.append(_rms(error))
-        values.append(np.sqrt(np.mean((error + spread * deviates) ** 2, axis=1)))
-    return Interval(rms[0] / rms[1], *percentile_interval(values[0] / values[1]))
+        drawn[name] = errors[name] + spread * deviates
+    return errors, drawn
 
 
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
+def _rms(values: ArrayLike) -> Array:
+    """Return the root mean square over the last axis."""
+    return np.sqrt(np.mean(np.square(values), axis=-1))

@@ -35,6 +35,10 @@ WAYS = ("single", "lit", "modulation")
 _PIXELS = 3000
 #: The thesis's middle, {150..400} of 500 um, from the centre of the volume, mm.
 MIDDLE_MM = (-0.1, 0.15)
+#: Its ends, {0, 50, 450, 500} um: so far from the centre, mm, or further.
+END_MM = 0.2
+#: Share of the draws of the stage's errors in which a statement has to hold.
+_SHARE = 0.95
 #: Thesis 8.4.1, um.
 LIMIT_UM = 2.0
 _UM = 1e3
@@ -185,6 +189,8 @@ def position_errors(
 def plane_findings(z_mm: Array, off: Array, exact: Array) -> tuple[Finding, Finding]:
     """Judge fig. 33: under 2 um in the middle, more at the ends.
 
+    Heights of 100 um, in neither of the two that the thesis names, are left out of both.
+
     Parameters
     ----------
     z_mm : (positions,) float
@@ -199,9 +205,10 @@ def plane_findings(z_mm: Array, off: Array, exact: Array) -> tuple[Finding, Find
     under = Finding(
         "ch8-plane-middle",
         "Median plane position error under 2 µm in the middle of the volume (fig. 33)",
-        f"the median of |error| over the middle is under {LIMIT_UM:g} µm in 95 % of the draws of "
-        f"the stage's errors ({_UM * STAGE_SIGMA_MM:g} µm in calibration and in use)",
-        "reproduced" if high < LIMIT_UM else "not reproduced",
+        f"the median of |error| over the middle is under {LIMIT_UM:g} µm in {100 * _SHARE:g} % "
+        f"of the draws of the stage's errors ({_UM * STAGE_SIGMA_MM:g} µm in calibration and in "
+        "use)",
+        "reproduced" if np.mean(typical < LIMIT_UM) >= _SHARE else "not reproduced",
         f"Median {np.median(typical):.2f} µm, of draws {low:.2f} to {high:.2f} µm; with an exact "
         f"stage {clean:.3f} µm.",
         thesis=LIMIT_UM,
@@ -209,12 +216,13 @@ def plane_findings(z_mm: Array, off: Array, exact: Array) -> tuple[Finding, Find
         interval=(low, high),
         unit="µm",
     )
-    at_ends = np.median(np.abs(off[:, ~middle]), axis=1)
-    share = float(np.mean(at_ends > np.median(np.abs(off[:, middle]), axis=1)))
-    clean_ends = _UM * float(np.median(np.abs(exact[:, ~middle])))
+    end = np.abs(z_mm) >= END_MM - 1e-9
+    at_ends = _UM * np.median(np.abs(off[:, end]), axis=1)
+    share = float(np.mean(at_ends > typical))
+    clean_ends = _UM * float(np.median(np.abs(exact[:, end])))
     verdict = (
         "reproduced"
-        if share >= 0.95 and clean_ends > clean
+        if share >= _SHARE and clean_ends > clean
         else "in part"
         if clean_ends > clean
         else "not reproduced"
@@ -222,11 +230,12 @@ def plane_findings(z_mm: Array, off: Array, exact: Array) -> tuple[Finding, Find
     ends = Finding(
         "ch8-plane-ends",
         "Plane position errors are larger at the ends of the volume (fig. 33)",
-        "the median of |error| at the ends exceeds that in the middle with an exact stage, and in "
-        "95 % of the draws with one that is off; in part if with an exact stage alone",
+        f"the median of |error| at the ends (0, 50, 450 and 500 of 500 µm) exceeds that in the "
+        f"middle (150 to 400 µm) with an exact stage, and in {100 * _SHARE:g} % of the draws with "
+        "one that is off; in part if with an exact stage alone",
         verdict,  # type: ignore[arg-type]
         f"Exact stage: {clean_ends:.3f} µm at the ends, {clean:.3f} µm in the middle; stage off: "
-        f"{_UM * np.median(at_ends):.2f} and {np.median(typical):.2f} µm, larger at the ends in "
+        f"{np.median(at_ends):.2f} and {np.median(typical):.2f} µm, larger at the ends in "
         f"{100 * share:.0f} % of the draws.",
         ours=clean_ends / clean if clean > 0 else None,
         unit="ratio, exact stage",

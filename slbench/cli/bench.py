@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from slbench.cli.common import Json, Preview, Seed, check_folder, print_json, print_table, progress
+from slbench.cli.common import Json, Seed, check_folder, print_json, print_table, progress
 from slbench.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,7 +37,12 @@ def bench(
         Path | None, typer.Option(help="HTML file to write: findings, tables, pictures, clouds.")
     ] = None,
     seed: Seed = 0,
-    preview: Preview = False,
+    preview: Annotated[
+        bool,
+        typer.Option(
+            "--preview", help="Few pixels, samples and repeats: a minute or two a chapter, not 20."
+        ),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Re-run the experiments of a chapter, and judge each finding of the thesis."""
@@ -111,11 +116,23 @@ def _page(outcomes: list[Outcome]) -> Page:
 
 
 def _findings(outcome: Outcome) -> Table:
-    """Lay the findings out for a terminal, by their names: statements are long."""
-    table = Table(title=outcome.title + (", preview" if outcome.preview else ""))
+    """Lay the findings out for a terminal, by their names: statements are long.
+
+    In one of 80 columns verdicts and numbers stay whole; names stand as words, to be broken
+    between them.
+    """
+    title = outcome.title + (", preview" if outcome.preview else "")
+    # No space beside the lines: seven columns take what 80 have.
+    table = Table(title=title, padding=0)
     summary = outcome.summary
     for k, name in enumerate(summary.columns):
-        table.add_column(name, justify="left" if k < 2 else "right", overflow="fold")
+        table.add_column(
+            name,
+            justify="left" if k < 2 else "right",
+            overflow="fold",
+            no_wrap=name in ("verdict", "thesis", "ours"),
+        )
     for finding, row in zip(outcome.findings, summary.texts(), strict=True):
-        table.add_row(finding.name.removeprefix(f"{outcome.chapter}-"), *row[1:])
+        words = finding.name.removeprefix(f"{outcome.chapter}-").replace("-", " ")
+        table.add_row(words, *row[1:])
     return table

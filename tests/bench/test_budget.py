@@ -47,11 +47,12 @@ class TestTwoTermLaw:
         assert found.sigma(16) == pytest.approx(law.sigma(16), rel=1e-5)
 
     def test_the_thesis_follows_it(self):
-        # From 4 and 50 fringes, what 16 would have; within 9 % of tables 8 and 9 for all four
-        # objects, where 1/n misses by a quarter and more.
+        # From 4 and 50 fringes, what 16 would have; within 5 % of tables 8 and 9 for three
+        # objects and 14.1 % too much for the propeller, where 1/n misses by a quarter and more.
+        ratio = {name: thesis_law(sigma).sigma(16) / sigma[2] for name, sigma in STD_UM.items()}
+        assert ratio.pop("ch7-propeller") == pytest.approx(1.141, abs=1e-3)
+        assert list(ratio.values()) == pytest.approx([1.010, 1.001, 1.043], abs=1e-3)
         for sigma in STD_UM.values():
-            law = thesis_law(sigma)
-            assert law.sigma(16) == pytest.approx(sigma[2], rel=0.09)
             assert sigma[1] * 4 / 16 < 0.77 * sigma[2]
         law = thesis_law(STD_UM[NAME])
         assert law.c == pytest.approx(761.8, abs=0.1)
