@@ -275,7 +275,8 @@ def histograms(manifest: Manifest, rows: Sequence[Row]) -> Picture:
             ax.hist(values, bins=edges, color="C0", edgecolor="white", linewidth=0.5)
         elif values:
             bins: Any = _BINS
-            if name in logarithmic and min(values) < max(values):
+            # What a draw is added to may be negative.
+            if name in logarithmic and 0.0 < min(values) < max(values):
                 bins = np.geomspace(min(values), max(values), _BINS + 1)
                 ax.set_xscale("log")
             ax.hist(values, bins=bins, color="C0", edgecolor="white", linewidth=0.5)

@@ -8,6 +8,7 @@ the measurement).
 
 from __future__ import annotations
 
+import importlib.util
 import logging
 import os
 import tempfile
@@ -27,6 +28,9 @@ _ANSWER_S = 10.0
 _PATIENCE_S = 30.0
 #: What a worker may need: a scan stays under 2 GiB.
 _MEMORY_BYTES = 2 << 30
+#: What a worker of this machine's own does first: an interrupt from the terminal reaches all
+#: processes, and the client ends the others.
+_DEAF = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
 #: How often the client looks whether the cluster is still there, s.
 _LOOK_S = 1.0
 
@@ -152,13 +156,13 @@ def local_cluster(workers: int) -> Iterator[Cluster]:
             n_workers=max(1, workers),
             threads_per_worker=1,
             processes=workers > 0,
-            dashboard_address="127.0.0.1:0" if workers else None,
+            dashboard_address="127.0.0.1:0",  # None would be a fixed port, which may be taken
             silence_logs=logging.CRITICAL,
-            **({"env": _worker_variables(threads, objects)} if workers else {}),
+            **({"env": _worker_variables(threads, objects), "preload": _DEAF} if workers else {}),
         ) as local,
         distributed.Client(local) as client,
     ):
-        yield Cluster(client, client.dashboard_link if workers else None)
+        yield Cluster(client, _dashboard(client) if workers else None)
 
 
 @contextmanager
@@ -183,7 +187,15 @@ def existing_cluster(address: str) -> Iterator[Cluster]:
             if time.monotonic() > limit:
                 raise InputError("--scheduler", f"a worker at {address}", "none")
             time.sleep(0.1)
-        yield Cluster(client, client.dashboard_link)
+        yield Cluster(client, _dashboard(client))
+
+
+def _dashboard(client: Any) -> str | None:
+    """Return the address of the dashboard, if there is one: Dask needs bokeh to show it."""
+    if importlib.util.find_spec("bokeh") is None:
+        return None
+    services = client.scheduler_info(n_workers=0).get("services", {})
+    return client.dashboard_link if "dashboard" in services else None
 
 
 def _worker_variables(threads: str, objects: str) -> dict[str, str]:

@@ -5,7 +5,9 @@ has a stream of random numbers of its own, from the seed, the sample, the draw a
 its column: adding one leaves the values of the others as they were.
 
 The truncated normal is drawn through its inverse distribution function: one number a draw,
-and no rejection.
+and no rejection.  Where all of it lies above the mean it is drawn reflected: the distribution
+function is near 1 there, where doubles are 1e-16 apart, but near 0 below the mean, where they
+resolve the tail as finely as any other part.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ from slbench.validation import Finite, Parameters, validated
 
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
+#: What a column of whole numbers holds.
+Whole = Annotated[int, Field(strict=True, ge=-(2**63), lt=2**63)]
 
 _WAYS = ("uniform", "log_uniform", "normal", "choice", "integers")
 _AXES = {"position_mm": "{}_mm", "rotation_deg": "rotation_{}_deg"}
@@ -57,11 +61,11 @@ class Distribution(Parameters):
     log_uniform: tuple[Positive, Positive] | None = None
     normal: tuple[Finite, NotNegative] | None = None
     within: tuple[Finite, Finite] | None = None
-    choice: Annotated[tuple[int | float | str, ...], Field(min_length=1)] | None = None
+    choice: Annotated[tuple[Whole | Finite | str, ...], Field(min_length=1)] | None = None
     weights: tuple[NotNegative, ...] | None = None
-    integers: tuple[int, int] | None = None
+    integers: tuple[Whole, Whole] | None = None
     add: bool = False
-    base: int | Finite | None = None
+    base: Whole | Finite | None = None
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$", max_length=60)] | None = None
 
     @model_validator(mode="after")
@@ -90,6 +94,10 @@ class Distribution(Parameters):
             raise ValueError("add with numbers only")
         if self.base is not None and not self.add:
             raise ValueError("base beside add = true only")
+        values = self.integers or self.choice or ()
+        whole = [value + int(self.base or 0) for value in values if isinstance(value, int)]
+        if self.type == "int64" and not -(2**63) <= min(whole) <= max(whole) < 2**63:
+            raise ValueError("whole numbers that fit in 64 bits with base added")
         return self
 
     @property
@@ -121,13 +129,25 @@ class Distribution(Parameters):
         return float(high - low)
 
     def _tails(self) -> tuple[float, float]:
-        """Return the normal distribution function at the ends of `within`."""
+        """Return the normal distribution function at the ends of `within`, lower one first.
+
+        Where all of `within` lies above the mean, at its mirror image.
+        """
         assert self.normal is not None
         mean, deviation = self.normal
         low, high = self.within or (-np.inf, np.inf)
         if deviation == 0.0:
             return (0.0, 1.0) if low <= mean <= high else (0.0, 0.0)
-        return float(ndtr((low - mean) / deviation)), float(ndtr((high - mean) / deviation))
+        ends = (low - mean) / deviation, (high - mean) / deviation
+        if self._above():
+            ends = -ends[1], -ends[0]
+        return float(ndtr(ends[0])), float(ndtr(ends[1]))
+
+    def _above(self) -> bool:
+        """Tell whether all of `within` lies above the mean."""
+        if self.normal is None or self.within is None:
+            return False
+        return self.within[0] > self.normal[0]
 
     def draw(self, rng: np.random.Generator) -> int | float | str:
         """Draw a value, `base` added."""
@@ -155,7 +175,8 @@ class Distribution(Parameters):
         low, high = self._tails()
         # u is a multiple of 2**-53 and may be zero, whose quantile is infinite.
         quantile = low + (u + 2.0**-54) * (high - low)
-        value = mean + deviation * float(ndtri(min(quantile, 1.0 - 2.0**-53)))
+        step = deviation * float(ndtri(min(quantile, 1.0 - 2.0**-53)))
+        value = mean - step if self._above() else mean + step
         if self.within is not None:
             value = float(np.clip(value, *self.within))
         return value

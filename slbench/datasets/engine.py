@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,15 +22,17 @@ from typing import Any
 from slbench.datasets import index, tasks
 from slbench.datasets.cluster import Cluster, LostError
 from slbench.datasets.make import environment
-from slbench.datasets.manifest import MANIFEST, Manifest
+from slbench.datasets.manifest import MANIFEST, Manifest, described
 from slbench.datasets.sampling import check
 from slbench.datasets.shards import digest
 from slbench.datasets.spec import Specification
-from slbench.datasets.storage import Storage
+from slbench.datasets.storage import Storage, is_temporary
 from slbench.errors import InputError
 
 #: Samples handed out for each one that the cluster makes at a time.
 _AHEAD = 2
+
+_EMPTY = "an empty place, or --resume to finish what is there"
 
 #: Called with the samples done, those to be done, and those that failed.
 Progress = Callable[[int, int, int], None]
@@ -113,26 +115,21 @@ def make_dataset(
     storage = Storage(url)
     check_request(specification, files, url, seed=seed, preview=preview, resume=resume)
     manifest = Manifest(
-        name=specification.name,
-        description=specification.description,
-        licence=specification.licence,
+        **described(specification),
         seed=seed,
         count=count,
         preview=preview,
-        samples_per_shard=specification.samples_per_shard,
-        captures={p: patterns.model_dump() for p, patterns in specification.prefixes()},
-        columns=specification.columns(),
-        drawn=tuple(specification.drawn_columns()),
         environment=cluster.call(environment),
         specification=specification.model_dump(exclude_none=True),
         files={name: digest(content) for name, content in sorted(files.items())},
     )
-    _write_manifest(storage, manifest, files)
+    _write_manifest(storage, manifest, files, resume)
     with _running(storage) as run:
         loop = _Loop(run, manifest, cluster, on_progress)
         rows = loop.run()
-        storage.write(index.INDEX, index.encode(rows, manifest.columns))
-        storage.remove_folder(tasks.STAGING)
+        with run.writing(index.INDEX) as stream:
+            stream.write(index.encode(rows, manifest.columns))
+        tasks.remove_staged(storage)
     good = [row for row in rows if row["status"] == index.OK]
     draws = sum(row["draws"] for row in good)
     return Made(
@@ -163,22 +160,32 @@ def check_request(
         If something else is at `url`, or no draw of an object makes a scene.
     """
     storage = Storage(url)
-    if storage.exists() and storage.names(""):
-        if not resume:
-            raise InputError(url, "an empty place, or --resume to finish what is there", "files")
-        if not storage.exists(MANIFEST):
-            raise InputError(url, "a data set to resume, or nothing", "other files")
+    there = storage.entries("") if storage.exists() else {}
+    if there and not resume:
+        raise InputError(url, _EMPTY, "files" if "file" in there.values() else "folders")
+    # A run that was killed before all has left nothing but an unfinished file.
+    if MANIFEST not in there and not all(map(is_temporary, there)):
+        raise InputError(url, "a data set to resume, or nothing", "other files")
     with tempfile.TemporaryDirectory(prefix="slbench-check-") as temporary:
         check(specification, files, seed, preview, Path(temporary))
 
 
-def _write_manifest(storage: Storage, manifest: Manifest, files: Mapping[str, bytes]) -> None:
+def _write_manifest(
+    storage: Storage, manifest: Manifest, files: Mapping[str, bytes], resume: bool
+) -> None:
     """Write ``dataset.json`` and the files, or check that they say the same."""
     if not storage.exists(MANIFEST):
-        for name, content in files.items():
-            storage.write(f"{tasks.FILES}/{name}", content)
-        manifest.save(storage)
-        return
+        manifest.save(storage)  # first: what a kill leaves is known for a data set by it
+    elif resume:
+        _check_same(storage, manifest)
+    else:  # begun since the place was found empty
+        raise InputError(storage.url, _EMPTY, "a data set that another run has begun")
+    for name, content in files.items():  # one may have been lost
+        storage.write(f"{tasks.FILES}/{name}", content)
+
+
+def _check_same(storage: Storage, manifest: Manifest) -> None:
+    """Refuse to finish another data set than that which was begun."""
     before, now = Manifest.load(storage).to_dict(), manifest.to_dict()
     where = storage.where(MANIFEST)
     if before["environment"] != now["environment"]:
@@ -188,8 +195,6 @@ def _write_manifest(storage: Storage, manifest: Manifest, files: Mapping[str, by
         if now[key] != value:
             expected = f"the {key} that the data set was begun with"
             raise InputError(f"{where}: {key}", expected, str(now[key])[:60])
-    for name, content in files.items():  # one may have been lost
-        storage.write(f"{tasks.FILES}/{name}", content)
 
 
 @contextmanager
@@ -200,8 +205,10 @@ def _running(storage: Storage) -> Iterator[tasks.Run]:
     try:
         yield tasks.Run(storage.url, token, digest(storage.read(MANIFEST)))
     finally:
-        if json.loads(storage.read(tasks.RUN)).get("token") == token:
-            storage.remove(tasks.RUN)
+        # Another run may have taken it over and ended: what stopped this one is the news then.
+        with suppress(ValueError):
+            if json.loads(storage.read(tasks.RUN)).get("token") == token:
+                storage.remove(tasks.RUN)
 
 
 class _Loop:
@@ -239,7 +246,8 @@ class _Loop:
         """Take complete shards as they are; return the samples of the others."""
         storage = self.run_.storage
         todo: deque[int] = deque()
-        remove_temporary(storage)
+        for folder in ("", "shards", tasks.STAGING, tasks.FILES, "card"):
+            storage.remove_temporary(folder)
         for shard in range(self.manifest.shards):
             rows = tasks.complete_rows(storage, self.manifest, shard)
             if rows is not None and any(row["status"] != index.OK for row in rows):
@@ -282,11 +290,3 @@ class _Loop:
     def _tell(self) -> None:
         done = len(self.rows) + sum(len(rows) for rows in self.open.values())
         self.report(done, self.manifest.count, self.failed)
-
-
-def remove_temporary(storage: Storage) -> None:
-    """Remove what a killed run was writing: files whose names start with a dot."""
-    for folder in ("", "shards", tasks.STAGING, tasks.FILES, "card"):
-        for name in storage.names(folder):
-            if name.startswith("."):
-                storage.remove(f"{folder}/{name}" if folder else name)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from slbench.datasets import sample as members
 from slbench.datasets.reader import Dataset
 from slbench.datasets.recipe import Recipe
+from slbench.datasets.shards import key
 from slbench.errors import InputError
 from slbench.io import write_json, write_png
 
@@ -46,7 +47,7 @@ def write_frames(data: Dataset, recipe: Recipe, folder: Path) -> Iterator[int]:
     """
     write_index(folder / "index.csv", data)
     for done, item in enumerate(data, 1):
-        target = folder / item.row["key"]
+        target = folder / key(item.number)
         recipe.shots(item).save(target)
         depth = item.truth.depth
         scale = depth_scale(depth)

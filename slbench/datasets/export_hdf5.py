@@ -15,7 +15,9 @@ N samples of F frames; lengths in mm, pixels with integer coordinates at their c
 ``parameters/X``   (N,)           what was drawn; NaN or empty where a sample has none
 =================  =============  ==========================================================
 
-A chunk is one sample's frames or map, so a sample is read without its neighbours.
+A chunk is one sample's frames or map, so a sample is read without its neighbours.  One pattern
+sequence and one bit depth hold for the file: HDF5 would clip 12 bits silently to 8.  ``K`` and
+``dist`` are those of perspective lenses; a telecentric one has no such matrix.
 """
 
 from __future__ import annotations
@@ -59,9 +61,9 @@ def write_hdf5(data: Dataset, recipe: Recipe, path: Path) -> Iterator[int]:
     Parameters
     ----------
     data : Dataset
-        Samples of one image size.
+        Samples of one image size and bit depth, with perspective lenses.
     recipe : Recipe
-        Of one number of frames.
+        Of one pattern sequence.
     path : Path
 
     Yields
@@ -72,22 +74,49 @@ def write_hdf5(data: Dataset, recipe: Recipe, path: Path) -> Iterator[int]:
     Raises
     ------
     InputError
-        If samples differ in image size or number of frames.
+        If samples differ in image size, bit depth or patterns, or a lens is telecentric.
     """
     h5py = extra("h5py")
     with h5py.File(path, "w", libver="latest") as file:
+        first: Capture | None = None
         for done, item in enumerate(data, 1):
+            _check_lenses(item)
             shots = recipe.shots(item)
             arrays = _arrays(item, shots)
-            if done == 1:
+            if first is None:
+                first = shots
                 _create(file, data, arrays)
                 _describe(file, data, recipe, shots)
+            _check_alike(item, shots, first)
             for name, values in arrays.items():
-                if file[name].shape[1:] != values.shape:
-                    expected = f"{name} of shape {file[name].shape[1:]} as the first sample's"
-                    raise InputError(item.where, expected, values.shape)
-                file[name][done - 1] = values
+                kept = file[name]
+                if (kept.shape[1:], kept.dtype) != (values.shape, values.dtype):
+                    expected = f"{name} {kept.shape[1:]} {kept.dtype} as the first sample's"
+                    raise InputError(item.where, expected, f"{values.shape} {values.dtype}")
+                kept[done - 1] = values
             yield done
+
+
+def _check_lenses(item: Sample) -> None:
+    """Refuse a lens that the arrays K and dist do not describe."""
+    for name, device in (("camera", item.rig.camera), ("projector", item.rig.projector)):
+        if device.lens.kind != "perspective":
+            raise InputError(item.where, f"for hdf5 a perspective {name}", device.lens.kind)
+
+
+def _check_alike(item: Sample, shots: Capture, first: Capture) -> None:
+    """Refuse frames for which the file's attributes do not hold."""
+    if shots.bit_depth != first.bit_depth:
+        expected = f"frames of {first.bit_depth} bits as the first sample's"
+        raise InputError(item.where, expected, f"{shots.bit_depth} bits")
+    if shots.sequence != first.sequence:
+        expected = f"patterns {_patterns(first)} as the first sample's"
+        raise InputError(item.where, expected, _patterns(shots))
+
+
+def _patterns(shots: Capture) -> str:
+    width, height = shots.sequence.panel
+    return f"{shots.sequence.name} on {width} x {height} px"
 
 
 def _arrays(item: Sample, shots: Capture) -> dict[str, NDArray[Any]]:

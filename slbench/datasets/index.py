@@ -36,6 +36,8 @@ FIXED: Mapping[str, str] = {
     "seed": "int64",  # that its light and its first capture are drawn with
     "draws": "int64",  # parameters drawn until the constraints were met
 }
+_ALWAYS = ("sample", "key", "status")
+_WHERE_OK = tuple(name for name in FIXED if name not in ("reason", "kind"))
 #: Statistics of every sample.
 STATISTICS: Mapping[str, str] = {
     "lit_pixels": "int64",
@@ -99,13 +101,24 @@ def encode(rows: Iterable[Mapping[str, Any]], types: Mapping[str, str]) -> bytes
     return stream.getvalue()
 
 
-def decode(content: bytes, where: str) -> list[dict[str, Any]]:
+def decode(
+    content: bytes, where: str, expected: Mapping[str, str] | None = None
+) -> list[dict[str, Any]]:
     """Return the rows of a Parquet file, null as None, sorted by sample.
+
+    Parameters
+    ----------
+    content : bytes
+    where : str
+        Where it was read, for messages.
+    expected : mapping of str to str, optional
+        All its columns and their types; without, :data:`FIXED` and any others.
 
     Raises
     ------
     InputError
-        If it is damaged, or not an index: a fixed column is missing or of another type.
+        If it is damaged, or not an index: a column is missing or of another type, or a row
+        lacks what every sample has.
     """
     arrow, parquet = extra("pyarrow"), extra("pyarrow.parquet")
     try:
@@ -115,11 +128,28 @@ def decode(content: bytes, where: str) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = table.to_pylist()
     except (arrow.ArrowException, OSError, ValueError) as error:
         raise InputError(where, "a Parquet file", f"a damaged one ({error})") from error
-    for name, kind in FIXED.items():
-        found = str(table.schema.field(name).type) if name in table.column_names else "no column"
+    for name, kind in (FIXED if expected is None else expected).items():
+        times = table.column_names.count(name)
+        found = str(table.schema.field(name).type) if times == 1 else f"{times or 'no'} column"
         if found != kind:
             raise InputError(where, f"the column {name} of {kind}", found)
+    if expected is not None and (others := set(table.column_names) - set(expected)):
+        raise InputError(where, "the columns of dataset.json", repr(min(others)))
+    for row in rows:
+        _check_row(row, where)
     return sorted(rows, key=lambda row: row["sample"])
+
+
+def _check_row(row: Mapping[str, Any], where: str) -> None:
+    """Refuse a row without what every sample has, or every one that could be made."""
+    sample = f"{where}: sample {'null' if row['sample'] is None else row['sample']}"
+    if row["status"] not in (OK, FAILED):
+        raise InputError(f"{sample}: status", f"{OK} or {FAILED}", repr(row["status"]))
+    for name in _ALWAYS if row["status"] == FAILED else _WHERE_OK:
+        if row[name] is None:
+            raise InputError(f"{sample}: {name}", "a value", "null")
+    if row["sample"] < 0:
+        raise InputError(f"{sample}: sample", "0 or more", row["sample"])
 
 
 def types(content: bytes) -> dict[str, str]:

@@ -1,22 +1,27 @@
 """Making one sample: draw until the constraints are met, trace, capture, score.
 
 The stages are those of :func:`slbench.scan.scan`; the light is traced once for all pattern
-sets and repeats.  A sample's bytes follow from specification, seed and index: nothing in them
-tells the time, the machine or the number of threads.  (Every stage sums in an order that
-threads do not change; linear algebra, whose libraries may, is held to one thread.)
+sets and repeats.  A sample's bytes follow from specification, seed, index and what
+:func:`environment` names: nothing in them tells the time, the host or the number of threads.
+(Every stage sums in an order that threads do not change; linear algebra, whose libraries may, is
+held to one thread.)  The kind of processor does matter: BLAS and NumPy have kernels of their own
+for each, whose last bits differ.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib.metadata
 import json
 import tempfile
+import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+import scipy.linalg  # noqa: F401  (its BLAS is among those that environment() names)
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from slbench.capture import capture
 from slbench.datasets.index import OK, SCORES, STATISTICS
@@ -53,6 +58,7 @@ from slbench.truth import GroundTruth, Status
 #: Why draws are rejected.
 BUILD, VOLUME, DARK = "cannot be built", "outside the volume", "too few lit pixels"
 REJECTIONS = (BUILD, VOLUME, DARK)
+_WRITERS = ("OpenEXR", "matplotlib")
 
 
 class NothingPassesError(Exception):
@@ -60,7 +66,10 @@ class NothingPassesError(Exception):
 
 
 def environment() -> dict[str, Any]:
-    """Return what samples depend on beside the specification: versions, Mitsuba's variant.
+    """Return what samples depend on beside the specification.
+
+    Versions of libraries, Mitsuba's variant, and what the libraries make of the processor: the
+    kernels that BLAS and NumPy choose for it.
 
     Raises
     ------
@@ -71,7 +80,21 @@ def environment() -> dict[str, Any]:
 
     made = provenance({}, None)
     kept = {name: made[name] for name in ("slbench", "python", "libraries")}
+    # Beside those of any result: the glyphs of coins, and what compresses truth and transport.
+    kept["libraries"] |= {name: importlib.metadata.version(name) for name in _WRITERS}
+    kept["libraries"] |= {"zlib": zlib.ZLIB_RUNTIME_VERSION} | _kernels()
     return {**kept, "variant": current().variant}
+
+
+def _kernels() -> dict[str, str]:
+    """Return the kernels of linear algebra and of NumPy that serve this processor."""
+    pools = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+    blas = {pool["architecture"] for pool in pools if "architecture" in pool}  # MKL says none
+    extensions = np.show_config(mode="dicts")["SIMD Extensions"]  # type: ignore[index]
+    return {
+        "BLAS kernels": " ".join(sorted(blas)),
+        "NumPy kernels": " ".join((*extensions["baseline"], *extensions.get("found", ()))),
+    }
 
 
 def make_sample(
@@ -112,7 +135,7 @@ def make_sample(
     rejected = dict.fromkeys(REJECTIONS, 0)
     problem = ""
     for number in range(specification.constraints.max_draws):
-        drawn = draw(specification, seed, sample, number, preview=preview)
+        drawn = draw(specification, seed, sample, number)
         with tempfile.TemporaryDirectory(prefix="slbench-sample-") as temporary:
             folder = Path(temporary)
             try:

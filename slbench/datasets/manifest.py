@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from slbench.datasets.index import FIXED
+from slbench.datasets.shards import is_member
+from slbench.datasets.spec import Patterns, Specification
 from slbench.datasets.storage import Storage
 from slbench.errors import InputError
 from slbench.io import plain
+from slbench.validation import shown, validated
 
 #: Name of the file in a data set.
 MANIFEST = "dataset.json"
@@ -30,7 +35,7 @@ class Manifest:
     samples_per_shard : int
         Samples k n to (k + 1) n - 1 stand in shard k, without those that failed.
     captures : dict
-        Prefix of each capture to its patterns, as ``PatternSequence.to_dict`` has them.
+        Prefix of each capture to its patterns, as the specification has them.
     columns : dict
         Columns of the index and their Arrow types.
     drawn : tuple of str
@@ -90,7 +95,7 @@ class Manifest:
         Raises
         ------
         InputError
-            If there is none, it is damaged, or of another version.
+            If there is none, it is damaged, or of another version; names the key at fault.
         """
         where = storage.where(MANIFEST)
         try:
@@ -101,25 +106,68 @@ class Manifest:
         if found != FORMAT:
             raise InputError(f"{where}: format", str(FORMAT), repr(found))
         try:
-            manifest = cls(**values | {"drawn": tuple(values.get("drawn", ()))})
+            manifest = cls(**values)
         except TypeError as error:
             raise InputError(where, "the keys of a data set", error) from None
         for name, kind in _KINDS.items():
-            if not isinstance(getattr(manifest, name), kind):
-                raise InputError(f"{where}: {name}", kind.__name__, repr(getattr(manifest, name)))
-        if manifest.count < 1 or manifest.samples_per_shard < 1:
-            raise InputError(f"{where}: count", "1 or more", manifest.count)
-        return manifest
+            value = getattr(manifest, name)
+            if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+                raise InputError(f"{where}: {name}", kind.__name__, shown(value))
+        _check_parts(manifest, where)
+        return replace(manifest, drawn=tuple(manifest.drawn))
 
 
+def described(specification: Specification) -> dict[str, Any]:
+    """Return what of a manifest follows from the specification, by key."""
+    return {
+        "name": specification.name,
+        "description": specification.description,
+        "licence": specification.licence,
+        "samples_per_shard": specification.samples_per_shard,
+        "captures": {p: patterns.model_dump() for p, patterns in specification.prefixes()},
+        "columns": specification.columns(),
+        "drawn": tuple(specification.drawn_columns()),
+    }
+
+
+def _check_parts(manifest: Manifest, where: str) -> None:
+    """Refuse numbers out of range, and tables that do not hold what they should."""
+    for name, least in (("seed", 0), ("count", 1), ("samples_per_shard", 1)):
+        if getattr(manifest, name) < least:
+            raise InputError(f"{where}: {name}", f"{least} or more", getattr(manifest, name))
+    for prefix, patterns in manifest.captures.items():
+        validated(Patterns, patterns, f"{where}: captures.{prefix}")
+    for name, kind in manifest.columns.items():
+        if kind not in _TYPES:
+            raise InputError(f"{where}: columns.{name}", f"one of {', '.join(_TYPES)}", shown(kind))
+    for name, kind in FIXED.items():
+        if manifest.columns.get(name) != kind:
+            found = manifest.columns.get(name, "none")
+            raise InputError(f"{where}: columns.{name}", kind, found)
+    for name in manifest.drawn:
+        if not isinstance(name, str) or name not in manifest.columns:
+            raise InputError(f"{where}: drawn", "names of columns", shown(name))
+    for name, digest in manifest.files.items():
+        if not is_member(name) or not isinstance(digest, str):
+            raise InputError(f"{where}: files", "plain names and SHA-256", shown({name: digest}))
+    libraries = manifest.environment.get("libraries", {})
+    if not isinstance(libraries, Mapping):
+        raise InputError(f"{where}: environment.libraries", "a table of versions", shown(libraries))
+
+
+#: Arrow types that a column may have.
+_TYPES = ("int64", "double", "string")
 _KINDS: dict[str, type] = {
     "name": str,
+    "description": str,
     "licence": str,
     "seed": int,
     "count": int,
+    "preview": bool,
     "samples_per_shard": int,
     "captures": dict,
     "columns": dict,
+    "drawn": list,
     "environment": dict,
     "specification": dict,
     "files": dict,

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from slbench.datasets import index
 from slbench.datasets.manifest import MANIFEST, Manifest
+from slbench.datasets.shards import key
 from slbench.datasets.split import by_object
 from slbench.datasets.storage import Storage
 from slbench.datasets.stored import Row, Sample
@@ -132,7 +133,8 @@ class Dataset(Sequence[Sample]):
         Raises
         ------
         InputError
-            If fractions are not positive or sum to more than 1, or objects are too few.
+            If fractions are not positive or sum to more than 1, the seed is no whole number
+            from 0, or objects are too few.
         """
         parts = by_object([row["object"] for row in self.rows], fractions, seed)
         return {name: self.select(positions) for name, positions in parts.items()}
@@ -184,7 +186,7 @@ def open_dataset(path: str | Path, *, verify: bool = True) -> Dataset:
     Raises
     ------
     InputError
-        If there is no data set or no index, or either is damaged.
+        If there is no data set or no index, or either is damaged or says other than the other.
     """
     storage = Storage(str(path))
     if not storage.exists(MANIFEST):
@@ -194,7 +196,7 @@ def open_dataset(path: str | Path, *, verify: bool = True) -> Dataset:
     if not storage.exists(index.INDEX):
         expected = "the index (`slbench dataset make ... --resume` finishes a data set)"
         raise InputError(where, expected, "nothing of that name")
-    rows = index.decode(storage.read(index.INDEX), where)
+    rows = index.decode(storage.read(index.INDEX), where, manifest.columns)
     ready = tuple(row for row in rows if row["status"] == index.OK)
     for row in ready:
         _check_place(row, where)
@@ -205,8 +207,11 @@ def open_dataset(path: str | Path, *, verify: bool = True) -> Dataset:
 def _check_place(row: Row, where: str) -> None:
     """Refuse a row that does not say where its sample stands, or points elsewhere."""
     shard, offset, size = row["shard"], row["offset"], row["size"]
-    if not (isinstance(shard, str) and _SHARD.fullmatch(shard)):
+    if row["key"] != key(row["sample"]):  # which names folders that are written
+        expected = key(row["sample"])
+        raise InputError(f"{where}: sample {row['sample']}: key", expected, repr(row["key"]))
+    if not _SHARD.fullmatch(shard):
         raise InputError(f"{where}: sample {row['sample']}: shard", "shards/000000.tar", shard)
-    if offset is None or size is None or offset < 0 or size < 1:
+    if offset < 0 or size < 1:
         got = f"{size} bytes from {offset}"
         raise InputError(f"{where}: sample {row['sample']}", "a place in its shard", got)

@@ -17,6 +17,7 @@ from slbench.datasets.stored import Sample
 from slbench.detector import Detector
 from slbench.errors import InputError
 from slbench.patterns import PatternSequence
+from slbench.patterns.codes import require_whole
 
 Patterns = str | PatternSequence
 #: Patterns for a sample, drawn with the generator.
@@ -46,8 +47,7 @@ class Recipe:
     def __post_init__(self) -> None:
         if self.patterns is None and self.detector is not None:
             raise InputError("detector", "patterns to expose with it", "stored frames")
-        if type(self.seed) is not int or self.seed < 0:
-            raise InputError("seed", "a whole number >= 0", repr(self.seed))
+        require_whole("seed", self.seed, 0)
 
     def seed_of(self, sample: Sample, epoch: int = 0) -> int:
         """Return the seed of a sample's noise in an epoch."""

@@ -22,10 +22,14 @@ from slbench.errors import InputError
 from slbench.io import plain, write_toml
 from slbench.rig.opencv import write_rig
 from slbench.scene import Scene
-from slbench.scenefile import load_scene
+from slbench.scenefile import load_scene, load_settings
 
 #: Width and Monte Carlo samples of a preview, where the scene does not say.
 _PREVIEW_WIDTH, _PREVIEW_SAMPLES = 320, 16
+#: Draws of an object that are tried at least before it is refused, and how often the same error may
+#: come in succession.
+_TRIED, _SAME = 100, 10
+_OUTSIDE = "an object outside the measurement volume"
 
 
 @dataclass(frozen=True)
@@ -39,7 +43,7 @@ class Draw:
     values : dict
         By column of the index.
     table : dict
-        Content of the scene file.
+        Content of the scene file, with its settings of a preview.
     """
 
     kind: str | None
@@ -65,7 +69,6 @@ def draw(
     sample: int,
     number: int = 0,
     *,
-    preview: bool = False,
     kind: int | None = None,
 ) -> Draw:
     """Draw the parameters of a sample.
@@ -77,8 +80,6 @@ def draw(
     seed, sample : int
     number : int
         Which draw: 0, and further ones where constraints were not met.
-    preview : bool
-        The coarse camera of a preview.
     kind : int, optional
         Index of the object, instead of a drawn one.
 
@@ -105,27 +106,28 @@ def draw(
         values[label] = distribution.draw(stream(seed, sample, number, label))
         put(table, place, values[label])
     table["name"] = f"{specification.name}-{key(sample)}"
-    settings = table.pop("preview", {})
-    if preview:
-        _coarsen(table, settings)
     return Draw(name, values, table)
 
 
-def _coarsen(table: dict[str, Any], settings: Mapping[str, Any]) -> None:
-    """Give the scene fewer, larger pixels and fewer samples, as ``Scene.coarser`` does."""
-    camera = table.get("camera")
+def _coarsen(table: dict[str, Any], width: int, settings: Mapping[str, Any]) -> int:
+    """Give a valid scene fewer, larger pixels and fewer samples, as ``Scene.coarser`` does.
+
+    Returns the divisor; a camera that stands in the rig's file is left as it is.
+    """
     samples = settings.get("samples", _PREVIEW_SAMPLES)
     table["render"] = {**table.get("render", {}), "samples": samples}
-    if camera is None:  # the camera stands in the rig's file
-        return
+    divisor = int(settings.get("divisor") or max(1, -(-width // _PREVIEW_WIDTH)))
+    camera = table.get("camera")
+    if camera is None:
+        return divisor
     width, height = camera["resolution_px"]
-    divisor = settings.get("divisor") or max(1, -(-width // _PREVIEW_WIDTH))
     pitch = camera["pitch_um"]
     pitches = pitch if isinstance(pitch, list) else [pitch, pitch]
     camera["resolution_px"] = [max(width // divisor, 1), max(height // divisor, 1)]
     camera["pitch_um"] = [p * divisor for p in pitches]
     u, v = camera.get("principal_point_px", [(width - 1) / 2, (height - 1) / 2])
     camera["principal_point_px"] = [(u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5]
+    return divisor
 
 
 def place_scene(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool) -> Scene:
@@ -139,22 +141,37 @@ def place_scene(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: 
     folder : Path
         Empty; gets ``scene.toml``, ``rig.yaml`` and the meshes that the scene names.
     preview : bool
-        As for :func:`draw`; a camera that stands in a file is made coarser here.
+        Fewer camera pixels and Monte Carlo samples.
 
     Raises
     ------
     InputError
-        If what was drawn makes no scene.
+        If what was drawn makes no scene; it names files as they are called in `folder`.
     """
+    try:
+        return _placed(drawn, files, folder, preview)
+    except InputError as error:
+        # Where the folder stands is nothing to the user, and another one each time.
+        said = (error.where, error.expected, str(error.got))
+        raise InputError(*(text.replace(f"{folder}/", "") for text in said)) from None
+
+
+def _placed(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool) -> Scene:
     wanted = {table["mesh"] for table in drawn.table["objects"] if "mesh" in table}
     from_file = "file" in drawn.table["rig"]
     for name in (*sorted(wanted), *([RIG] if from_file else [])):
         (folder / name).write_bytes(files[name])
-    write_toml(folder / SCENE, drawn.table)
+    table, divisor = plain(drawn.table), 1
+    if preview:
+        # All but the objects, which cost most, is checked before it is reckoned with.
+        write_toml(folder / SCENE, table)
+        width = load_settings(folder / SCENE).rig.camera.width
+        divisor = _coarsen(table, width, table.get("preview", {}))
+    table.pop("preview", None)
+    write_toml(folder / SCENE, table)
     scene = load_scene(folder / SCENE)
     if from_file and preview:
-        width = scene.rig.camera.width
-        scene = scene.coarser(max(1, -(-width // _PREVIEW_WIDTH)), scene.samples)
+        scene = scene.coarser(divisor, scene.samples)
     write_rig(folder / RIG, scene.rig)
     return scene
 
@@ -186,26 +203,44 @@ def check(
     InputError
         If no draw makes a scene that a sample can have, saying what is wrong with the last.
     """
-    limits = specification.constraints
     kinds: tuple[int | None, ...] = tuple(range(len(specification.objects))) or (None,)
+    # As many as several samples have: that few draws fail says little of the others'.
+    draws = max(specification.constraints.max_draws, _TRIED)
     for kind in kinds:
-        problem: object = None
-        for number in range(limits.max_draws):
-            drawn = draw(specification, seed, 0, number, preview=preview, kind=kind)
+        problems: list[str] = []
+        for number in range(draws):
+            drawn = draw(specification, seed, 0, number, kind=kind)
             place = folder / f"{kind}-{number}"
             place.mkdir()
-            try:
-                scene = place_scene(drawn, files, place, preview)
-                for patterns in specification.patterns:
-                    scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
-            except InputError as error:
-                problem = error
-                continue
-            if limits.inside_volume and outside_volume(scene):
-                problem = "an object outside the measurement volume"
-                continue
-            break
-        else:
+            problem = _problem(specification, drawn, files, place, preview)
+            if problem is None:
+                break
+            problems.append(problem)
+            # What depends on the draw says so; what does not will not come right.
+            if problem != _OUTSIDE and problems[-_SAME:] == [problem] * _SAME:
+                break
+        if problem is not None:
             what = "scene" if kind is None else f"objects[{kind}] ({drawn.kind})"
-            expected = f"a draw of {limits.max_draws} that makes a sample"
+            expected = f"a draw of {len(problems)} that makes a sample"
+            for name in files:  # as the user calls them
+                problem = problem.replace(name, name.removeprefix("mesh."))
             raise InputError(f"{specification.name}: {what}", expected, f"none: {problem}")
+
+
+def _problem(
+    specification: Specification,
+    drawn: Draw,
+    files: Mapping[str, bytes],
+    folder: Path,
+    preview: bool,
+) -> str | None:
+    """Return why a draw cannot make a sample, None if it may."""
+    try:
+        scene = place_scene(drawn, files, folder, preview)
+        for patterns in specification.patterns:
+            scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
+    except InputError as error:
+        return str(error)
+    if specification.constraints.inside_volume and outside_volume(scene):
+        return _OUTSIDE
+    return None

@@ -22,7 +22,8 @@ END = bytes(2 * tarfile.BLOCKSIZE)
 #: Fewest digits of a key.
 _DIGITS = 6
 _MEMBER = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)+")
-_ENTRY = re.compile(r"([0-9]{6,})\.(.+)")
+#: A member's name is also that of a file to unpack it to: no folder, nothing above one.
+_ENTRY = re.compile(rf"([0-9]{{{_DIGITS},}})\.({_MEMBER.pattern})")
 
 
 def key(sample: int) -> str:
@@ -33,6 +34,11 @@ def key(sample: int) -> str:
 def shard_name(shard: int) -> str:
     """Return the name of a shard within the data set."""
     return f"shards/{shard:0{_DIGITS}d}.tar"
+
+
+def is_member(name: str) -> bool:
+    """Tell whether a sample may have a file of that name."""
+    return _MEMBER.fullmatch(name) is not None
 
 
 def pack(sample: int, members: Mapping[str, bytes]) -> bytes:
@@ -52,7 +58,7 @@ def pack(sample: int, members: Mapping[str, bytes]) -> bytes:
     """
     stream = io.BytesIO()
     for name in sorted(members):
-        if not _MEMBER.fullmatch(name):
+        if not is_member(name):
             raise InputError("sample member", "a plain name with a suffix", repr(name))
         entry = tarfile.TarInfo(f"{key(sample)}.{name}")
         entry.size = len(members[name])
@@ -83,7 +89,7 @@ def unpack(sample: int, content: bytes, where: str) -> dict[str, bytes]:
     Raises
     ------
     InputError
-        If they are damaged or another sample's.
+        If they are damaged, another sample's, or have names that :func:`pack` does not give.
     """
     members: dict[str, bytes] = {}
     try:
@@ -93,7 +99,7 @@ def unpack(sample: int, content: bytes, where: str) -> dict[str, bytes]:
                 if match is None or not entry.isfile() or match[1] != key(sample):
                     raise InputError(where, f"files of sample {key(sample)}", repr(entry.name))
                 members[match[2]] = content[entry.offset_data : entry.offset_data + entry.size]
-    except tarfile.TarError as error:
+    except (tarfile.TarError, OverflowError) as error:
         raise InputError(where, "tar entries", f"damaged ones ({error})") from error
     if not members or sum(map(len, members.values())) > len(content):
         raise InputError(where, "tar entries", "damaged ones")

@@ -36,7 +36,6 @@ which one is drawn, the patterns whose frames are rendered, and what a draw must
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -44,15 +43,24 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from slbench import resources
-from slbench.datasets.distributions import Distribution, column, find, get, put, written
+from slbench.datasets.distributions import (
+    Distribution,
+    column,
+    find,
+    get,
+    is_distribution,
+    put,
+    written,
+)
 from slbench.datasets.distributions import Path as Place
+from slbench.datasets.embedded import content_of, embedded, mesh_names
 from slbench.datasets.index import columns
 from slbench.datasets.sample import EXACT_BITS, RIG, capture_prefix
 from slbench.errors import InputError
 from slbench.io import plain, read_toml
 from slbench.objects import KINDS
 from slbench.scenefile import extended
-from slbench.validation import Parameters, validated
+from slbench.validation import Parameters, shown, validated
 
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
@@ -60,6 +68,8 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 #: Keys of a drawn object that are not those of an object in a scene.
 _OWN = ("name", "weight")
 _SHIPPED = "datasets"
+#: Tables of a scene that are looked into before it is loaded.
+_TABLES = ("rig", "camera", "render", "preview")
 
 
 class Patterns(Parameters):
@@ -182,7 +192,7 @@ class Specification(Parameters):
         """Return the names of the files that the resolved specification refers to."""
         names = {RIG} if self.scene.get("rig", {}).get("file") else set()
         for table in (*self.objects, *self.scene.get("objects", ())):
-            names.update(_mesh_names(table.get("mesh")))
+            names.update(mesh_names(table.get("mesh")))
         return names
 
 
@@ -220,13 +230,14 @@ def load(name_or_path: str | Path) -> tuple[Specification, dict[str, bytes]]:
     if "focus" in scene:
         expected = "no focus settings (a sample has one light transport)"
         raise InputError(f"{path.name}: scene.focus", expected, "some")
-    rig_file = scene.get("rig", {}).get("file") if isinstance(scene.get("rig"), dict) else None
+    _check_tables(scene, f"{path.name}: scene")
+    rig_file = scene["rig"].get("file")
     if rig_file is not None:
-        files[RIG] = _content(path, rig_file, "scene.rig.file")
+        files[RIG] = content_of(path, rig_file, "scene.rig.file")
         scene["rig"] = {**scene["rig"], "file": RIG}
     if "objects" in scene:
         scene["objects"] = [
-            _embedded(table, path, f"scene.objects[{k}]", files)
+            embedded(table, path, f"scene.objects[{k}]", files)
             for k, table in enumerate(_tables(scene["objects"], f"{path.name}: scene.objects"))
         ]
     objects = []
@@ -244,7 +255,28 @@ def load(name_or_path: str | Path) -> tuple[Specification, dict[str, bytes]]:
             where = f"{path.name}: {written(place)}"
             raise InputError(where, "base = ..., to add to", "none")
     resolved.columns()
+    _check_marginals(resolved, path.name)
     return resolved, files
+
+
+def _check_tables(scene: Mapping[str, Any], where: str) -> None:
+    """Refuse a scene without a rig, or something else in the place of a table."""
+    if "rig" not in scene:
+        raise InputError(f"{where}.rig", "a table, here or in a scene that it extends", "none")
+    for key in _TABLES:
+        table = scene.get(key, {})
+        if not isinstance(table, dict) or is_distribution(table):
+            raise InputError(f"{where}.{key}", "a table", shown(table))
+
+
+def _check_marginals(specification: Specification, where: str) -> None:
+    """Refuse patterns that could not be exposed from the marginals that are kept."""
+    kept = specification.marginals
+    for k, patterns in enumerate(specification.patterns):
+        for axis in patterns.axes:
+            if kept and axis not in kept:
+                expected = f"{axis!r} too, which patterns[{k}] code"
+                raise InputError(f"{where}: marginals", expected, ", ".join(kept))
 
 
 def from_dict(values: Mapping[str, Any], where: str) -> Specification:
@@ -276,81 +308,30 @@ def _object(
     weight = table.get("weight", 1.0)
     if type(weight) not in (int, float) or not 0.0 < weight < float("inf"):
         raise InputError(f"{path.name}: {where}.weight", "a positive number", repr(weight))
+    kind = table.get("kind")
+    if kind is not None and not isinstance(kind, str):
+        expected = "the name of one (to draw from several: a table [[objects]] for each)"
+        raise InputError(f"{path.name}: {where}.kind", expected, shown(kind))
     default = next((table[way] for way in ("kind", "artefact", "mesh") if way in table), None)
     name = table.get("name", default)
     if not isinstance(name, str) or not name:
         raise InputError(f"{path.name}: {where}.name", "a name", repr(name))
     inner = {key: value for key, value in table.items() if key not in _OWN}
-    embedded = _embedded(inner, path, where, files)
-    kind = embedded.get("kind")
+    complete = embedded(inner, path, where, files)
+    kind = complete.get("kind")
     if kind is not None:
         if kind not in KINDS:
             raise InputError(f"{path.name}: {where}.kind", f"one of {', '.join(KINDS)}", repr(kind))
         known = KINDS[kind].parameters.model_fields
-        for key in embedded.get("parameters", {}):
+        parameters = complete.get("parameters", {})
+        if not isinstance(parameters, dict) or is_distribution(parameters):
+            expected = f"a table with {', '.join(known)}"
+            raise InputError(f"{path.name}: {where}.parameters", expected, shown(parameters))
+        for key in parameters:
             if key not in known:
                 at = f"{path.name}: {where}.parameters"
                 raise InputError(at, f"one of the keys {', '.join(known)}", repr(key))
-    return {"name": name, "weight": weight, **embedded}
-
-
-def _embedded(
-    table: dict[str, Any], path: Path, where: str, files: dict[str, bytes]
-) -> dict[str, Any]:
-    """Return an object's table with the artefact's and the mesh's files taken in."""
-    table = dict(table)
-    artefact = table.get("artefact")
-    if isinstance(artefact, str) and (artefact.endswith(".toml") or "/" in artefact):
-        source = resources.inside(path.parent, artefact)
-        content = read_toml(source)
-        del table["artefact"]
-        parameters = dict(content.get("parameters", {}))
-        if content.get("kind") == "mesh":
-            parameters["mesh"] = parameters.pop("path", None)
-            table.update(parameters)
-            path = source
-        else:
-            table["kind"], table["parameters"] = content.get("kind"), parameters
-    mesh = table.get("mesh")
-    if isinstance(mesh, str):
-        table["mesh"] = _mesh(path, mesh, where, files)
-    elif isinstance(mesh, dict) and all(isinstance(m, str) for m in mesh.get("choice", [0])):
-        choice = [_mesh(path, name, where, files) for name in mesh["choice"]]
-        table["mesh"] = {**mesh, "choice": choice}
-    elif mesh is not None:
-        raise InputError(f"{path.name}: {where}.mesh", "a file, or a choice of files", repr(mesh))
-    return table
-
-
-def _mesh(path: Path, name: str, where: str, files: dict[str, bytes]) -> str:
-    """Take a mesh file in and return its name in the data set."""
-    content = _content(path, name, f"{where}.mesh")
-    stem = re.sub(r"[^A-Za-z0-9_-]", "-", Path(name).stem)
-    suffix = Path(name).suffix.lower()
-    flat, k = f"mesh.{stem}{suffix}", 1
-    while files.get(flat, content) != content:
-        k += 1
-        flat = f"mesh.{stem}-{k}{suffix}"
-    files[flat] = content
-    return flat
-
-
-def _mesh_names(mesh: Any) -> list[str]:
-    if isinstance(mesh, Mapping):
-        return list(mesh["choice"])
-    return [] if mesh is None else [mesh]
-
-
-def _content(path: Path, name: Any, where: str) -> bytes:
-    where = f"{path.name}: {where}"
-    if not isinstance(name, str):
-        raise InputError(where, "a file", repr(name))
-    try:
-        return resources.inside(path.parent, name).read_bytes()
-    except InputError as error:
-        raise InputError(where, error.expected, error.got) from None
-    except OSError as error:
-        raise InputError(where, "a file that can be read", error.strerror) from None
+    return {"name": name, "weight": weight, **complete}
 
 
 def _tables(value: Any, where: str) -> list[dict[str, Any]]:

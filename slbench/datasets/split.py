@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from slbench.errors import InputError
+from slbench.patterns.codes import require_whole
 
 #: Fractions such as 0.7 + 0.2 + 0.1 may exceed 1 by rounding.
 _ROUNDING = 1e-9
@@ -40,8 +41,10 @@ def by_object(
     Raises
     ------
     InputError
-        If a fraction is not positive, they sum to more than 1, or a part stays empty.
+        If a fraction is not positive, they sum to more than 1, a part stays empty, or the
+        seed is no whole number from 0.
     """
+    require_whole("split: seed", seed, 0)
     if not fractions:
         raise InputError("split", "parts such as train=0.8, test=0.2", "none")
     for name, share in fractions.items():

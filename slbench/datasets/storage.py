@@ -8,9 +8,10 @@ other file system gets a temporary name and a move.
 
 from __future__ import annotations
 
+import re
 import secrets
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -22,6 +23,8 @@ from slbench.io import atomic_path
 #: Protocols whose objects appear when they are complete, and which have no rename.
 _ATOMIC_PUT = {"memory", "s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oci", "oss"}
 _TEMPORARY = ".writing-"
+#: What files are called until they are complete: here, and by :func:`slbench.io.atomic_path`.
+_UNFINISHED = re.compile(r"\.writing-[0-9a-f]{12}-.+|\..+\.[0-9a-f]{12}(\.[^.]*)?")
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Storage:
         try:
             # fsspec keeps one instance a protocol and set of options.
             return extra("fsspec.core").url_to_fs(self.url)[0]
-        except (ValueError, ImportError) as error:
+        except (ValueError, ImportError, OSError) as error:
             raise InputError(self.url, "a folder or a URL that fsspec can reach", error) from error
 
     @property
@@ -88,8 +91,10 @@ class Storage:
             If it is missing or cannot be read.
         """
         with self._reading(name):
-            path = self._path(name)
-            return bytes(self._filesystem.cat_file(path, start=offset, end=offset + size))
+            path, end = self._path(name), offset + size
+            if self.local is not None:  # which would ask memory for all that is asked of it
+                end = max(offset, min(end, self._filesystem.size(path)))
+            return bytes(self._filesystem.cat_file(path, start=offset, end=end))
 
     @contextmanager
     def _reading(self, name: str) -> Iterator[None]:
@@ -142,22 +147,43 @@ class Storage:
         if self.exists(name):
             self._filesystem.rm_file(self._path(name))
 
-    def remove_folder(self, name: str) -> None:
-        """Remove a folder and all in it, if it is there."""
-        if self.exists(name):
-            self._filesystem.rm(self._path(name), recursive=True)
+    def remove_empty_folder(self, name: str) -> None:
+        """Remove a folder in which nothing is, if it is there."""
+        if self.exists(name) and not self.entries(name):
+            # Where folders are a manner of speaking, there may be none to remove.
+            with suppress(OSError, NotImplementedError):
+                self._filesystem.rmdir(self._path(name))
+
+    def remove_temporary(self, folder: str) -> None:
+        """Remove the unfinished files that a killed process left in a folder."""
+        for name in self.names(folder):
+            if is_temporary(name):
+                self.remove(f"{folder}/{name}" if folder else name)
 
     def names(self, folder: str) -> list[str]:
         """Return the names of a folder's files, sorted; none where it does not exist."""
+        return sorted(name for name, kind in self.entries(folder).items() if kind == "file")
+
+    def entries(self, folder: str) -> dict[str, str]:
+        """Return what is in a folder by name, with ``"file"`` or ``"directory"``."""
         if folder and not self.exists(folder):
-            return []
+            return {}
         # An object store's listing may be a remembered one.
         self._filesystem.invalidate_cache()
+        path = self._path(folder)
         try:
-            entries = self._filesystem.ls(self._path(folder), detail=True)
+            found = self._filesystem.ls(path, detail=True)
         except FileNotFoundError:
-            return []
-        return sorted(PurePosixPath(e["name"]).name for e in entries if e["type"] == "file")
+            return {}
+        kinds = {entry["name"].rstrip("/"): entry["type"] for entry in found}
+        if kinds.get(path) == "directory":  # an object store's mark for the folder itself
+            del kinds[path]
+        return {PurePosixPath(name).name: kind for name, kind in kinds.items()}
+
+
+def is_temporary(name: str) -> bool:
+    """Tell whether a name is that of a file which this package has not finished writing."""
+    return _UNFINISHED.fullmatch(name) is not None
 
 
 def _protocols(filesystem: Any) -> set[str]:

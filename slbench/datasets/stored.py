@@ -23,6 +23,7 @@ from slbench.detector import Detector
 from slbench.errors import InputError
 from slbench.io import read_json
 from slbench.patterns import PatternSequence
+from slbench.patterns.codes import require_whole
 from slbench.rig import Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene import Exposure, Scene
@@ -184,9 +185,13 @@ class Sample:
         Raises
         ------
         InputError
-            For patterns that the panel or the stored marginals cannot show, or a scene in
-            which nothing is lit.
+            For patterns that the panel or the stored marginals cannot show, a seed that is no
+            whole number from 0, or a scene in which nothing is lit.
         """
+        require_whole("seed", seed, 0)
+        if not isinstance(sequence, str | PatternSequence):
+            expected = 'text such as "1,10,50@4", or a PatternSequence'
+            raise InputError("patterns", expected, repr(sequence)[:60])
         scene = self._settings
         if isinstance(sequence, str):
             sequence = PatternSequence.parse(sequence, self.transport.panel)

@@ -2,9 +2,10 @@
 
 A worker gets a few words (where the data set is, which run this is, which sample) and gives
 back one row of the index: samples never travel over the cluster.  It writes a sample to
-``staging/``; when all of a shard are there, a worker packs them into the shard, writes its
-rows beside it and removes them.  Every file appears whole (:mod:`slbench.datasets.storage`)
-and every step may be done again: its result is the same bytes.
+``staging/``, followed by its digest; when all of a shard are there, a worker packs them into
+the shard, writes its rows beside it and removes them.  Every file appears whole
+(:mod:`slbench.datasets.storage`) and every step may be done again: its result is the same
+bytes.  A staged sample that a disk has spoilt since does not match its digest and is made again.
 
 A run has a *token* in ``run.json``.  A worker that outlives its killed run finds another
 token there, or none, and writes nothing any more.
@@ -13,9 +14,12 @@ token there, or none, and writes nothing any more.
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +40,7 @@ STAGING = "staging"
 FILES = "files"
 
 _REASON = 300
+_STAGED = re.compile(r"[0-9]{6,}\.tar")
 
 
 class SupersededError(Exception):
@@ -67,10 +72,22 @@ class Run:
 
     def check(self) -> None:
         """Raise SupersededError unless this is the run that the data set belongs to."""
-        if not self.storage.exists(RUN):
-            raise SupersededError(f"{self.url}: the run has ended")
-        if json.loads(self.storage.read(RUN)).get("token") != self.token:
+        try:
+            content = self.storage.read(RUN)
+        except InputError:
+            if self.storage.exists(RUN):
+                raise
+            raise SupersededError(f"{self.url}: the run has ended") from None
+        if json.loads(content).get("token") != self.token:
             raise SupersededError(f"{self.url}: another run has taken over")
+
+    @contextmanager
+    def writing(self, name: str) -> Iterator[Any]:
+        """Yield a stream whose file appears if this is still the run, looked at last of all."""
+        self.check()
+        with self.storage.writing(name) as stream:
+            yield stream
+            self.check()
 
 
 def rows_name(shard: int) -> str:
@@ -81,6 +98,35 @@ def rows_name(shard: int) -> str:
 def staged_name(sample: int) -> str:
     """Return where a sample stands until its shard is packed."""
     return f"{STAGING}/{key(sample)}.tar"
+
+
+def stage(run: Run, sample: int, content: bytes) -> None:
+    """Write a sample's bytes to where it stands until its shard is packed."""
+    with run.writing(staged_name(sample)) as stream:
+        stream.write(content)
+        stream.write(hashlib.sha256(content).digest())
+
+
+def staged(storage: Storage, sample: int) -> bytes | None:
+    """Return a staged sample's bytes; None where it is not there, or damaged."""
+    try:
+        stored = storage.read(staged_name(sample))
+    except InputError:
+        if storage.exists(staged_name(sample)):
+            raise
+        return None
+    size = hashlib.sha256().digest_size
+    content, mark = stored[:-size], stored[-size:]
+    return content if hashlib.sha256(content).digest() == mark else None
+
+
+def remove_staged(storage: Storage) -> None:
+    """Remove staged samples, and the folder if nothing else is in it."""
+    storage.remove_temporary(STAGING)
+    for name in storage.names(STAGING):
+        if _STAGED.fullmatch(name):
+            storage.remove(f"{STAGING}/{name}")
+    storage.remove_empty_folder(STAGING)
 
 
 @functools.cache
@@ -130,11 +176,10 @@ def make(run: Run, sample: int) -> tuple[dict[str, Any], bool]:
     is no fault of the sample's.
     """
     manifest, specification, files = _plan(run)
-    storage, name = run.storage, staged_name(sample)
-    if storage.exists(name):
-        content = storage.read(name)
-        members = unpack(sample, content, storage.where(name))
-        return stamped(row_of(sample, members), content), False
+    there = staged(run.storage, sample)
+    if there is not None:
+        members = unpack(sample, there, run.storage.where(staged_name(sample)))
+        return stamped(row_of(sample, members), there), False
     reason, attempt = "", 0
     for attempt in range(1, ATTEMPTS + 1):
         try:
@@ -153,8 +198,7 @@ def make(run: Run, sample: int) -> tuple[dict[str, Any], bool]:
             reason = f"{type(error).__name__}: {error}"
             continue
         content = pack(sample, members)
-        run.check()
-        storage.write(name, content)
+        stage(run, sample, content)
         return stamped(row_of(sample, members), content) | {"attempts": attempt}, True
     return failed_row(sample, reason, attempt), True
 
@@ -183,21 +227,22 @@ def pack_shard(run: Run, shard: int, rows: Sequence[Mapping[str, Any]]) -> list[
         return done
     complete: list[dict[str, Any]] = []
     offset = 0
-    run.check()
-    with storage.writing(shard_name(shard)) as stream:
+    with run.writing(shard_name(shard)) as stream:
         for row in sorted(rows, key=lambda row: row["sample"]):
             if row["status"] == index.OK:
-                name = staged_name(row["sample"])
-                content = storage.read(name)
-                if digest(content) != row["sha256"]:
-                    raise InputError(storage.where(name), f"SHA-256 {row['sha256']}", "another")
+                content = staged(storage, row["sample"])
+                if content is None or digest(content) != row["sha256"]:
+                    run.check()  # the next run may have packed it
+                    where = storage.where(staged_name(row["sample"]))
+                    expected = f"the sample of SHA-256 {row['sha256']} (--resume makes it again)"
+                    raise InputError(where, expected, "none or another")
                 stream.write(content)
                 row = {**row, "shard": shard_name(shard), "offset": offset}
                 offset += len(content)
             complete.append(dict(row))
         stream.write(END)
-    run.check()
-    storage.write(rows_name(shard), index.encode(complete, manifest.columns))
+    with run.writing(rows_name(shard)) as stream:
+        stream.write(index.encode(complete, manifest.columns))
     _unstage(storage, rows)
     return complete
 
@@ -210,20 +255,25 @@ def _unstage(storage: Storage, rows: Sequence[Mapping[str, Any]]) -> None:
 def complete_rows(storage: Storage, manifest: Manifest, shard: int) -> list[dict[str, Any]] | None:
     """Return the rows of a shard that is complete, else None.
 
-    Complete: its rows are there, one a sample, and the shard is as long as they say.
+    Complete: its rows are there, one a sample, their places follow each other, and the shard
+    is as long as they say.
     """
     name = rows_name(shard)
     if not (storage.exists(name) and storage.exists(shard_name(shard))):
         return None
     try:
-        rows = index.decode(storage.read(name), storage.where(name))
+        rows = index.decode(storage.read(name), storage.where(name), manifest.columns)
     except InputError:
         return None
-    length = len(END) + sum(row["size"] for row in rows if row["status"] == index.OK)
-    samples = [row["sample"] for row in rows]
-    if samples != list(manifest.samples_of(shard)) or storage.size(shard_name(shard)) != length:
+    if [row["sample"] for row in rows] != list(manifest.samples_of(shard)):
         return None
-    return rows
+    length = 0
+    for row in rows:
+        if row["status"] == index.OK:
+            if (row["shard"], row["offset"]) != (shard_name(shard), length):
+                return None
+            length += row["size"]
+    return rows if storage.size(shard_name(shard)) == length + len(END) else None
 
 
 def reopen_shard(run: Run, shard: int, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -234,5 +284,5 @@ def reopen_shard(run: Run, shard: int, rows: Sequence[Mapping[str, Any]]) -> Non
         if row["status"] == index.OK:
             content = storage.read_range(row["shard"], row["offset"], row["size"])
             if digest(content) == row["sha256"]:  # a damaged one is made anew
-                storage.write(staged_name(row["sample"]), content)
+                stage(run, row["sample"], content)
     storage.remove(rows_name(shard))

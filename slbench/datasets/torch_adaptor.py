@@ -27,6 +27,7 @@ from slbench.datasets.recipe import Chooser, Patterns, Recipe
 from slbench.datasets.stored import Sample
 from slbench.detector import Detector
 from slbench.errors import InputError
+from slbench.patterns.codes import require_whole
 
 try:
     # DataLoader tells an iterable data set by its class, so the base is needed here.
@@ -93,9 +94,8 @@ class _Captures:
 
     def set_epoch(self, epoch: int) -> None:
         """Choose the epoch, in all workers too; call it before iterating."""
-        if not isinstance(epoch, int) or epoch < 0:
-            raise InputError("epoch", "a whole number >= 0", repr(epoch))
-        self._epoch[0] = epoch
+        require_whole("epoch", epoch, 0)
+        self._epoch[0] = int(epoch)
 
     @property
     def epoch(self) -> int:
@@ -104,6 +104,10 @@ class _Captures:
 
     def __len__(self) -> int:
         return len(self.data)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a worker needs: it keeps samples of its own."""
+        return self.__dict__ | {"_kept": OrderedDict()}
 
     def _make(self, position: int, epoch: int) -> Any:
         _check_process()

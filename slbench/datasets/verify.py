@@ -11,9 +11,10 @@ from typing import Any
 
 from slbench.datasets import index
 from slbench.datasets.make import row_of
-from slbench.datasets.manifest import Manifest
+from slbench.datasets.manifest import MANIFEST, Manifest, described
 from slbench.datasets.sample import REQUIRED
 from slbench.datasets.shards import END, digest, shard_name, unpack
+from slbench.datasets.spec import from_dict
 from slbench.datasets.storage import Storage
 from slbench.datasets.tasks import FILES, RUN, STAGING, rows_name
 from slbench.errors import InputError
@@ -44,7 +45,7 @@ def verify_dataset(
     Raises
     ------
     InputError
-        If there is no data set.
+        If there is no data set, or ``dataset.json`` cannot be used.
     """
     storage = Storage(url)
     manifest = Manifest.load(storage)
@@ -53,15 +54,22 @@ def verify_dataset(
         problems.append(f"{storage.where(RUN)}: a run that has not ended (--resume finishes it)")
     if storage.names(STAGING):
         problems.append(f"{storage.where(STAGING)}: samples that are in no shard yet (--resume)")
+    _check_specification(storage, manifest, problems)
     rows = _rows(storage, manifest, problems)
     expected = {shard_name(shard) for shard in range(manifest.shards)}
     expected |= {rows_name(shard) for shard in range(manifest.shards)}
-    for name in storage.names("shards"):
-        if f"shards/{name}" not in expected:
-            problems.append(f"{storage.where(f'shards/{name}')}: a file that does not belong there")
+    there = {f"shards/{name}" for name in storage.names("shards")}
+    for name in sorted(there - expected):
+        problems.append(f"{storage.where(name)}: a file that does not belong there")
+    missing = [shard for shard in range(manifest.shards) if shard_name(shard) not in there]
+    if missing:
+        where = storage.where(shard_name(missing[0]))
+        which = f", the first of {len(missing)} that are missing" if len(missing) > 1 else ""
+        problems.append(f"{where}: expected a file, got nothing of that name{which}")
     size = 0
     for shard in range(manifest.shards):
-        size += _check_shard(storage, manifest, shard, rows, problems)
+        if shard_name(shard) in there:
+            size += _check_shard(storage, manifest, shard, rows, problems)
         if on_progress:
             on_progress((shard + 1) / manifest.shards)
     _check_files(storage, manifest, problems)
@@ -73,6 +81,19 @@ def verify_dataset(
         "bytes": size,
     }
     return problems, found
+
+
+def _check_specification(storage: Storage, manifest: Manifest, problems: list[str]) -> None:
+    """Check that the specification can be read, and that the rest of the manifest follows."""
+    where = storage.where(MANIFEST)
+    try:
+        wanted = described(from_dict(manifest.specification, f"{where}: specification"))
+    except InputError as error:
+        problems.append(str(error))
+        return
+    for name, value in wanted.items():
+        if getattr(manifest, name) != value:
+            problems.append(f"{where}: {name} is not that of its specification")
 
 
 def _rows(storage: Storage, manifest: Manifest, problems: list[str]) -> dict[int, dict[str, Any]]:
@@ -122,7 +143,7 @@ def _check_shard(
     name = shard_name(shard)
     where = storage.where(name)
     here = [rows[sample] for sample in manifest.samples_of(shard) if sample in rows]
-    offset = 0
+    offset: int | None = 0  # of the next sample; unknown behind one of unknown length
     try:
         size = storage.size(name)
     except InputError as error:
@@ -132,19 +153,22 @@ def _check_shard(
         if row["status"] != index.OK:
             continue
         label = f"{where}: sample {row['key']}"
-        if (row["shard"], row["offset"]) != (name, offset):
+        if offset is not None and (row["shard"], row["offset"]) != (name, offset):
             problems.append(f"{label}: expected at byte {offset}, the index has {row['offset']}")
-        content = storage.read_range(name, row["offset"], row["size"])
-        offset = row["offset"] + row["size"]
-        if len(content) < row["size"]:
-            problems.append(f"{label}: expected {row['size']} bytes, the shard ends before")
+        if row["offset"] < 0 or row["size"] < 1 or row["offset"] + row["size"] > size:
+            expected = f"{row['size']} bytes from byte {row['offset']}"
+            problems.append(f"{label}: expected {expected}, the shard ends before")
+            offset = None
             continue
+        offset = row["offset"] + row["size"]
+        content = storage.read_range(name, row["offset"], row["size"])
         if digest(content) != row["sha256"]:
             problems.append(f"{label}: its SHA-256 is not the index's")
             continue
         problems.extend(f"{label}: {problem}" for problem in _contents(manifest, row, content))
-    if len(here) == len(manifest.samples_of(shard)) and size != offset + len(END):
-        problems.append(f"{where}: expected {offset + len(END)} bytes, got {size}")
+    length = None if offset is None else offset + len(END)
+    if length not in (None, size) and len(here) == len(manifest.samples_of(shard)):
+        problems.append(f"{where}: expected {length} bytes, got {size}")
     if not _same_rows(storage, shard, here):
         problems.append(f"{storage.where(rows_name(shard))}: expected the rows of the index")
     return size
@@ -200,9 +224,10 @@ def information(url: str) -> dict[str, Any]:
     """
     storage = Storage(url)
     manifest = Manifest.load(storage)
-    if not storage.exists(index.INDEX) and storage.exists(RUN):
+    if not storage.exists(index.INDEX):
         raise InputError(storage.where(index.INDEX), "a finished data set (--resume)", "no index")
-    rows = index.decode(storage.read(index.INDEX), storage.where(index.INDEX))
+    content = storage.read(index.INDEX)
+    rows = index.decode(content, storage.where(index.INDEX), manifest.columns)
     good = [row for row in rows if row["status"] == index.OK]
     reasons = {row["key"]: row["reason"] for row in rows if row["status"] != index.OK}
     kinds: dict[str, int] = {}

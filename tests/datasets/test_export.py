@@ -21,6 +21,7 @@ from slbench.datasets.export_frames import depth_scale, scaled_depth
 from slbench.datasets.raster import depth_of_mesh
 from slbench.datasets.recipe import Recipe
 from slbench.errors import InputError
+from slbench.rig import Lens
 from slbench.rig.opencv import read_rig
 from slbench.truth import GroundTruth
 
@@ -81,6 +82,13 @@ class TestFrames:
             "000001",
             "000002",
         ]
+
+    def test_the_folder_is_the_samples_whatever_the_index_says(self, data, tmp_path):
+        # A key of a foreign index must not lead out of the folder.
+        rows = ({**data.rows[0], "key": "../outside"},)
+        export(replace(data, rows=rows), tmp_path / "out", "frames")
+        assert (tmp_path / "out" / "000000" / "depth.png").exists()
+        assert not (tmp_path / "outside").exists()
 
     def test_captures_are_those_of_the_recipe(self, frames_out, data):
         for item in data[:3]:
@@ -179,6 +187,53 @@ class TestHdf5:
         with pytest.raises(InputError, match="as the first sample's"):
             export(data, tmp_path / "x.h5", "hdf5", Recipe(growing))
         assert list(tmp_path.iterdir()) == []
+
+    def test_other_patterns_of_as_many_frames_are_refused(self, data, tmp_path):
+        def either(item, rng):
+            return "1,8" if item.number == 0 else "1,10"
+
+        with pytest.raises(InputError, match=r"sample 000001.*1,8.*first sample's.*1,10"):
+            export(data[:2], tmp_path / "x.h5", "hdf5", Recipe(either))
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize(("before", "bits"), [(8, 12), (10, 12)])
+    def test_mixed_bit_depths_are_refused(self, data, tmp_path, before, bits):
+        # HDF5 clips 12 bits into an array of 8; 10 and 12 fit in one array, but mean other scales.
+        items = [_detected(data[0], before), _detected(data[1], bits)]
+        with pytest.raises(InputError, match=rf"sample 000001.*{before} bits.*got {bits} bits"):
+            export(_only(data, items), tmp_path / "x.h5", "hdf5", RECIPE)
+        assert list(tmp_path.iterdir()) == []
+
+    @pytest.mark.parametrize("device", ["camera", "projector"])
+    def test_telecentric_lenses_are_refused(self, data, tmp_path, device):
+        item = data[0]
+        lens = Lens.telecentric(0.1, 0.01, 300.0)
+        changed = replace(getattr(item.rig, device), lens=lens)
+        item.__dict__["rig"] = replace(item.rig, **{device: changed})
+        with pytest.raises(InputError, match=f"sample 000000.*perspective {device}.*telecentric"):
+            export(_only(data, [item]), tmp_path / "x.h5", "hdf5", RECIPE)
+        assert list(tmp_path.iterdir()) == []
+
+
+def _only(data, items):
+    """Return a data set of the given samples, whatever was changed in them."""
+
+    class Only(datasets.Dataset):
+        def __iter__(self):
+            return iter(items)
+
+        def __getitem__(self, key):
+            return self if isinstance(key, slice) else items[key]
+
+    return Only(data.manifest, data.storage, data.rows[: len(items)])
+
+
+def _detected(item, bits):
+    """Return a sample whose scene has a detector of `bits`."""
+    settings = item._settings
+    detector = replace(settings.detector, bit_depth=bits)
+    item.__dict__["_settings"] = replace(settings, detector=detector)
+    return item
 
 
 def nearest(origin, directions, triangles):
@@ -328,16 +383,8 @@ class TestBop:
         bent = replace(rig, camera=replace(rig.camera, distortion=(0.1, 0, 0, 0, 0)))
         item.__dict__["rig"] = bent
 
-        class One(datasets.Dataset):
-            def __iter__(self):
-                return iter([item])
-
-            def __getitem__(self, key):
-                return self if isinstance(key, slice) else item
-
-        one = One(data.manifest, data.storage, data.rows[:1])
         with pytest.raises(InputError, match="distortion"):
-            export(one, tmp_path / "x", "bop", RECIPE)
+            export(_only(data, [item]), tmp_path / "x", "bop", RECIPE)
         assert list(tmp_path.iterdir()) == []
 
 
@@ -446,9 +493,48 @@ class TestCommand:
         assert read_rig(out / "000003" / "rig.yaml").camera.width == 64
         assert (out / "provenance.json").is_file()
 
+    @pytest.mark.parametrize("form", ["frames", "hdf5"])
+    def test_parts_have_no_object_in_common(self, folder, data, tmp_path, form):
+        out = tmp_path / "parts"
+        words = ["--split", "train=0.5", "--split", "test=0.5", "--patterns", "1", "--json"]
+        outcome = run_cli("dataset", "export", folder, "--out", out, "--format", form, *words)
+        assert outcome.status == 0, outcome.err
+        said = json.loads(outcome.out)
+        assert (said["samples"], said["parts"]) == (8, {"train": 4, "test": 4})
+        objects = {row["sample"]: row["object"] for row in data.rows}
+        written = {}
+        for name in ("train", "test"):
+            if form == "frames":
+                with (out / name / "index.csv").open() as stream:
+                    written[name] = [int(row["sample"]) for row in csv.DictReader(stream)]
+            else:
+                with h5py.File(out / f"{name}.h5") as file:
+                    written[name] = file["sample"][:].tolist()
+        train, test = ({objects[k] for k in written[name]} for name in written)
+        assert sorted(written["train"] + written["test"]) == sorted(objects)
+        assert not train & test
+        # The parts that Python gives.
+        parts = data.split(train=0.5, test=0.5)
+        assert written == {name: [item.number for item in part] for name, part in parts.items()}
+
+    def test_a_part_that_cannot_be_written_leaves_nothing(self, tmp_path):
+        bare = small.write_dataset(tmp_path / "bare", frames=False)
+        words = ["--split", "a=0.5", "--split", "b=0.5"]
+        check_refused(
+            run_cli("dataset", "export", bare, "--out", tmp_path / "x", *words), "capture"
+        )
+        assert not (tmp_path / "x").exists()
+
     @pytest.mark.parametrize(
         ("options", "word"),
         [
+            (["--split", "train"], "--split"),
+            (["--split", "../x=0.5"], "--split"),
+            (["--split", "a=0.5", "--split", "a=0.5"], "--split"),
+            (["--split", "seed=0.5"], "--split"),
+            (["--split", "a=0.9", "--split", "b=0.9"], "sum to 1"),
+            (["--split", "a=1.5"], "(0, 1]"),
+            (["--format", "zip", "--split", "a=1"], "--format"),
             (["--format", "zip"], "--format"),
             (["--where", "heigth_mm > 1"], "heigth_mm"),
             (["--patterns", "1,x"], "patterns"),

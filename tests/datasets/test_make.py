@@ -1,7 +1,9 @@
 """Making data sets: the same bytes however they are made; failures; damage is named."""
 
+import io
 import json
 import platform
+import re
 import shutil
 import subprocess
 import sys
@@ -16,14 +18,15 @@ from scenes_small import small, transport_of, truth_of
 from slbench.capture import Capture, noise_free_coordinates
 from slbench.datasets import index, tasks
 from slbench.datasets.cluster import LostError, local_cluster
-from slbench.datasets.engine import make_dataset
+from slbench.datasets.engine import _running, check_request, make_dataset
 from slbench.datasets.make import environment, make_sample, row_of
 from slbench.datasets.manifest import Manifest
+from slbench.datasets.reader import open_dataset
 from slbench.datasets.sample import EXACT_BITS, rounded, unpacked, write_transport
 from slbench.datasets.sampling import draw
 from slbench.datasets.shards import END, digest, key, pack, unpack
 from slbench.datasets.spec import load
-from slbench.datasets.storage import Storage
+from slbench.datasets.storage import Storage, is_temporary
 from slbench.datasets.verify import information, verify_dataset
 from slbench.errors import InputError
 from slbench.scan import floor_rms_px, scan
@@ -60,6 +63,16 @@ def copy(made, tmp_path):
     return tmp_path / "copy"
 
 
+def flipped(content, where=1000):
+    content = bytearray(content)
+    content[where] ^= 1
+    return bytes(content)
+
+
+def flip(path, where):
+    path.write_bytes(flipped(path.read_bytes(), where))
+
+
 def members_of(url, row):
     content = Storage(str(url)).read_range(row["shard"], row["offset"], row["size"])
     return unpack(row["sample"], content, "sample")
@@ -83,6 +96,33 @@ class TestShards:
     def test_names_that_would_not_come_back_are_refused(self, name):
         with pytest.raises(InputError, match="member"):
             pack(0, {name: b""})
+
+    @pytest.mark.parametrize("name", ["../../x.y", "/abs/x.y", "a/b.c", "x", "..", "a.b\n"])
+    def test_names_that_pack_refuses_are_not_unpacked(self, name):
+        # A foreign data set's: they would be written to wherever they say.
+        stream = io.BytesIO()
+        with tarfile.open(fileobj=stream, mode="w") as archive:
+            archive.addfile(tarfile.TarInfo(f"000000.{name}"), io.BytesIO())
+        with pytest.raises(InputError, match="here: expected files of sample 000000"):
+            unpack(0, stream.getvalue(), "here")
+
+    def test_a_size_beyond_all_memory_is_damage(self):
+        content = bytearray(pack(0, {"a.b": b"x"}))
+        content[124:136] = b"\xff" + b"\x7f" * 11  # tar's form for sizes of more than 8 GB
+        content[148:156] = b" " * 8
+        content[148:156] = b"%06o\0 " % sum(content[:512])
+        with pytest.raises(InputError, match="here: expected"):
+            unpack(0, bytes(content), "here")
+
+    def test_meshes_of_long_names_fit_into_a_tar(self, tmp_path):
+        # USTAR has 100 bytes for a name.
+        names = [f"{'long-' * 30}{letter}.stl" for letter in "ab"]
+        for name in names:
+            (tmp_path / name).write_text(f"solid {name}\nendsolid\n")
+        objects = [{"name": name[-5], "mesh": name, "unit": "mm"} for name in names]
+        files = load(write_spec(tmp_path, objects=objects))[1]
+        assert len(files) == 2  # they stay distinct
+        assert unpack(12345678, pack(12345678, files), "here") == files
 
     def test_keys_outgrow_six_digits(self):
         assert key(12) == "000012"
@@ -223,6 +263,13 @@ class TestFailures:
         assert "too few lit pixels" in row["reason"]
 
 
+def begun(folder):
+    """Begin a run of a data set, as the engine does."""
+    storage = Storage(str(folder))
+    storage.write(tasks.RUN, b'{"token": "own"}')
+    return tasks.Run(str(folder), "own", digest(storage.read("dataset.json")))
+
+
 class TestResume:
     def test_whatever_a_kill_leaves_is_finished(self, tiny, made, copy, cluster):
         # As if killed: while one shard was being made, another packed but without its rows,
@@ -230,11 +277,11 @@ class TestResume:
         storage = Storage(str(copy))
         rows = rows_of(copy)
         content = storage.read_range(rows[0]["shard"], rows[0]["offset"], rows[0]["size"])
-        storage.write("staging/000000.tar", content)
+        tasks.stage(begun(copy), 0, content)
         (copy / "shards" / "000000.tar").unlink()
         (copy / "shards" / "000000.parquet").unlink()
         (copy / "shards" / "000001.parquet").unlink()
-        (copy / "shards" / ".000001.abc.tar").write_bytes(b"half")
+        (copy / "shards" / ".000001.0123456789ab.tar").write_bytes(b"half")
         (copy / "index.parquet").unlink()
         storage.write("run.json", b'{"token": "of a killed run"}')
         result = make_dataset(*tiny, str(copy), COUNT, cluster, seed=SEED, resume=True)
@@ -244,6 +291,119 @@ class TestResume:
         assert sorted(p.name for p in (copy / "shards").iterdir()) == sorted(
             p.name for p in (Storage(made).local / "shards").iterdir()
         )
+
+    @pytest.mark.parametrize(
+        "spoil",
+        [lambda c: b"", lambda c: c[:100], lambda c: c[:-1], flipped],
+        ids=["empty", "a start", "all but a byte", "a flipped bit"],
+    )
+    def test_a_damaged_staged_sample_is_made_again(self, spoil, tiny, made, copy, cluster):
+        # Sample 4 is alone in the third shard.
+        shard = copy / "shards" / "000002"
+        row = rows_of(copy)[4]
+        content = Storage(made).read_range(row["shard"], row["offset"], row["size"])
+        run = begun(copy)
+        tasks.stage(run, 4, content)
+        assert tasks.staged(run.storage, 4) == content
+        staged = copy / "staging" / "000004.tar"
+        staged.write_bytes(spoil(staged.read_bytes()))
+        shard.with_suffix(".tar").unlink()
+        shard.with_suffix(".parquet").unlink()
+        result = make_dataset(*tiny, str(copy), COUNT, cluster, seed=SEED, resume=True)
+        assert (result.made, result.failed) == (1, 0)
+        assert hashes(copy) == hashes(made)
+        assert verify_dataset(str(copy))[0] == []
+
+    def test_a_sample_that_is_spoilt_after_it_was_staged_is_not_packed(self, copy):
+        run = begun(copy)
+        row = rows_of(copy)[4]
+        content = run.storage.read_range(row["shard"], row["offset"], row["size"])
+        tasks.stage(run, 4, content)
+        flip(copy / "staging" / "000004.tar", 1000)
+        (copy / "shards" / "000002.parquet").unlink()
+        with pytest.raises(InputError, match=r"staging/000004\.tar.*--resume"):
+            tasks.pack_shard(run, 2, [row])
+        assert not (copy / "shards" / "000002.parquet").exists()
+
+    def test_only_what_it_wrote_is_removed(self, tiny, copy, cluster):
+        mine = ["staging/thesis.txt", "card/.keep", ".gitattributes", "shards/.nfs000123", ".git/x"]
+        for name in mine:
+            (copy / name).parent.mkdir(exist_ok=True)
+            (copy / name).write_text("mine")
+        storage = Storage(str(copy))
+        storage.write("staging/000003.tar", b"")
+        left = ["shards/.000001.0123456789ab.tar", ".dataset.0123456789ab.json"]
+        left.append("staging/.writing-0123456789ab-000001.tar")
+        for name in left:
+            (copy / name).write_bytes(b"half")
+        make_dataset(*tiny, str(copy), COUNT, cluster, seed=SEED, resume=True)
+        assert [(copy / name).read_text() for name in mine] == ["mine"] * len(mine)
+        assert not any((copy / name).exists() for name in (*left, "staging/000003.tar"))
+
+    @pytest.mark.parametrize("local", [True, False])
+    def test_unfinished_files_are_known_by_their_names(self, local, tmp_path, monkeypatch):
+        # As they are called in the middle of writing, on a disk and on others without rename.
+        storage = Storage(str(tmp_path / "set"))
+        if not local:
+            monkeypatch.setattr(Storage, "local", None)
+        for name in ("dataset.json", "README.md", "shards/000000.tar", "files/mesh.a.stl"):
+            with storage.writing(name):
+                folder = tmp_path / "set" / Path(name).parent
+                unfinished = [p.name for p in folder.iterdir() if p.is_file() and p.name[0] == "."]
+                assert len(unfinished) == 1
+                assert is_temporary(unfinished[0])
+            assert not is_temporary(Path(name).name)
+
+    def test_a_kill_before_the_manifest_is_resumed(self, tiny, tmp_path):
+        place = tmp_path / "set"
+        place.mkdir()
+        (place / ".dataset.0123456789ab.json").write_text("{")
+        with pytest.raises(InputError, match="--resume"):
+            check_request(*tiny, str(place), seed=SEED)
+        check_request(*tiny, str(place), seed=SEED, resume=True)
+
+    def test_a_folder_makes_a_place_not_empty(self, tiny, tmp_path):
+        (tmp_path / "staging").mkdir()
+        with pytest.raises(InputError, match=r"expected an empty place.*got folders"):
+            check_request(*tiny, str(tmp_path), seed=SEED)
+        with pytest.raises(InputError, match="other files"):
+            check_request(*tiny, str(tmp_path), seed=SEED, resume=True)
+
+    def test_the_second_of_two_fresh_runs_is_refused(self, tiny, made, monkeypatch, cluster):
+        # Both found the place empty before either had written to it.
+        monkeypatch.setattr("slbench.datasets.engine.check_request", lambda *args, **more: None)
+        with pytest.raises(InputError, match="another run has begun"):
+            make_dataset(*tiny, made, COUNT, cluster, seed=SEED)
+        assert not Path(made, "run.json").exists()
+
+    def test_a_superseded_packer_puts_nothing_in_place(self, copy, monkeypatch):
+        # It is taken over while it writes the shard.
+        run = begun(copy)
+        row = rows_of(copy)[4]
+        content = run.storage.read_range(row["shard"], row["offset"], row["size"])
+        tasks.stage(run, 4, content)
+        for suffix in ("tar", "parquet"):
+            (copy / "shards" / f"000002.{suffix}").unlink()
+        staged = tasks.staged
+
+        def slowly(storage, sample):
+            storage.write(tasks.RUN, b'{"token": "of another run"}')
+            return staged(storage, sample)
+
+        monkeypatch.setattr(tasks, "staged", slowly)
+        with pytest.raises(tasks.SupersededError, match="taken over"):
+            tasks.pack_shard(run, 2, [row])
+        assert [p.name for p in (copy / "shards").iterdir() if "000002" in p.name] == []
+
+    def test_a_run_that_another_has_overtaken_says_so(self, copy):
+        # The other has ended too, so that run.json is gone.
+        def overtaken():
+            with _running(Storage(str(copy))) as run:
+                (copy / "run.json").unlink()
+                run.check()
+
+        with pytest.raises(tasks.SupersededError, match="ended"):
+            overtaken()
 
     def test_a_truncated_shard_is_made_again(self, tiny, made, copy, cluster):
         shard = copy / "shards" / "000002.tar"
@@ -355,12 +515,6 @@ class TestCluster:
         assert not (tmp_path / "set" / "run.json").exists()
 
 
-def flip(path, where):
-    content = bytearray(path.read_bytes())
-    content[where] ^= 1
-    path.write_bytes(content)
-
-
 class TestVerify:
     def test_a_whole_one_is_whole(self, made):
         problems, found = verify_dataset(made)
@@ -423,6 +577,93 @@ class TestVerify:
         types = Manifest.load(Storage(str(copy))).columns
         (copy / "index.parquet").write_bytes(index.encode(rows, types))
         assert any(words in problem for problem in verify_dataset(str(copy))[0])
+
+    def spoil_index(self, copy, change):
+        rows = rows_of(copy)
+        change(rows)
+        types = Manifest.load(Storage(str(copy))).columns
+        (copy / "index.parquet").write_bytes(index.encode(rows, types))
+
+    @pytest.mark.parametrize("column", ["key", "status", "offset", "size", "object", "draws"])
+    def test_a_null_is_named_by_all_that_read_the_index(self, column, copy):
+        self.spoil_index(copy, lambda rows: rows[1].update({column: None}))
+        words = rf"index\.parquet: sample 1: {column}: expected"
+        for read in (information, open_dataset):
+            with pytest.raises(InputError, match=words):
+                read(str(copy))
+        assert any(re.search(words, problem) for problem in verify_dataset(str(copy))[0])
+
+    @pytest.mark.parametrize("change", [{"size": 2**62}, {"offset": -9}, {"offset": 2**62}])
+    def test_a_place_outside_the_shard_is_not_read(self, change, copy):
+        self.spoil_index(copy, lambda rows: rows[0].update(change))
+        problems = verify_dataset(str(copy))[0]
+        assert any("000000.tar: sample 000000: expected" in p and "ends" in p for p in problems)
+        # The other sample of the shard is not blamed.
+        assert not any("sample 000001" in problem for problem in problems)
+
+    def test_an_evil_member_is_named(self, copy):
+        # All checksums hold: whoever wrote it gave them too.
+        row = rows_of(copy)[4]
+        content = (copy / row["shard"]).read_bytes()[: row["size"]]
+        stream = io.BytesIO()
+        with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+            archive.addfile(tarfile.TarInfo("000004.../../x.y"), io.BytesIO())
+        content += stream.getvalue()[:512]
+        (copy / row["shard"]).write_bytes(content + END)
+        new = {"size": len(content), "sha256": digest(content)}
+        self.spoil_index(copy, lambda rows: rows[4].update(new))
+        types = Manifest.load(Storage(str(copy))).columns
+        (copy / "shards" / "000002.parquet").write_bytes(index.encode([rows_of(copy)[4]], types))
+        (problem,) = verify_dataset(str(copy))[0]
+        assert "000002.tar: sample 000004" in problem
+        assert "'000004.../../x.y'" in problem
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            ({"description": 5}, "description: expected str"),
+            ({"preview": "no"}, "preview: expected bool"),
+            ({"count": True}, "count: expected int"),
+            ({"seed": -1}, "seed: expected 0"),
+            ({"columns": {"a": 5}}, r"columns\.a"),
+            ({"columns": {"a": "double"}}, r"columns\.sample"),
+            ({"drawn": 5}, "drawn: expected list"),
+            ({"drawn": "abc"}, "drawn: expected list"),
+            ({"drawn": ["zz"]}, "drawn: expected names of columns"),
+            ({"captures": {"p0r0": 5}}, r"captures\.p0r0"),
+            ({"captures": {"p0r0": {}}}, r"captures\.p0r0"),
+            ({"files": {"../../x": "0"}}, "files: expected plain names"),
+            ({"environment": {"libraries": 5}}, "environment.libraries: expected a table"),
+        ],
+    )
+    def test_a_damaged_manifest_is_named(self, change, words, copy):
+        path = copy / "dataset.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | change))
+        for read in (information, verify_dataset, open_dataset):
+            with pytest.raises(InputError, match=rf"dataset\.json: {words}"):
+                read(str(copy))
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            ({"specification": {}}, "specification"),
+            ({"drawn": []}, "drawn is not that of its specification"),
+            ({"captures": {}}, "captures is not that of its specification"),
+        ],
+    )
+    def test_a_manifest_that_is_not_its_specifications_is_named(self, change, words, copy):
+        path = copy / "dataset.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | change))
+        problems = verify_dataset(str(copy))[0]
+        assert any("dataset.json" in problem and words in problem for problem in problems)
+
+    def test_missing_shards_are_one_line(self, copy):
+        for shard in (0, 2):
+            (copy / "shards" / f"{shard:06d}.tar").unlink()
+            (copy / "shards" / f"{shard:06d}.parquet").unlink()
+        (problem,) = verify_dataset(str(copy))[0]
+        assert "shards/000000.tar" in problem
+        assert "the first of 2" in problem
 
     def test_damaged_files_are_named(self, copy):
         (copy / "index.parquet").write_bytes(b"PAR1 and no more")

@@ -208,6 +208,22 @@ class TestCapture:
         sequence = PatternSequence.parse("1,8", data[0].transport.panel, axes="v")
         assert "'v' marginal" in refusal(lambda: data[0].capture(sequence))
 
+    @pytest.mark.parametrize("patterns", [5, None, ["1,8"]])
+    def test_patterns_of_another_kind(self, data, patterns):
+        assert "patterns: expected text" in refusal(lambda: data[0].capture(patterns))
+
+    @pytest.mark.parametrize("seed", [-1, 1.5, True, "1"])
+    def test_bad_seeds(self, data, seed):
+        assert "seed: expected a whole number" in refusal(lambda: data[0].capture("1", seed=seed))
+        with pytest.raises(InputError, match="split: seed: expected a whole number"):
+            data.split(train=0.5, test=0.5, seed=seed)
+
+    def test_numpys_whole_numbers_are_seeds(self, data):
+        seed = np.int64(3)
+        wanted = data[0].capture("1", seed=3).frames
+        np.testing.assert_array_equal(data[0].capture("1", seed=seed).frames, wanted)
+        assert data.split(a=0.5, seed=seed)["a"].rows == data.split(a=0.5, seed=3)["a"].rows
+
     def test_the_objects_are_not_built(self, data, monkeypatch):
         # Their meshes cost more than the frames.
         monkeypatch.setattr("slbench.objects.build", None)
@@ -291,8 +307,17 @@ class TestDamage:
 
     @pytest.mark.parametrize(
         "change",
-        [{"shard": "../outside.tar"}, {"shard": None}, {"offset": -5}, {"size": 0}],
-        ids=["elsewhere", "no shard", "negative", "empty"],
+        [
+            {"shard": "../outside.tar"},
+            {"shard": None},
+            {"offset": -5},
+            {"size": 0},
+            {"key": "../../by-key"},
+            {"key": "000001"},
+            {"object": None},
+            {"status": "maybe"},
+        ],
+        ids=str,
     )
     def test_an_index_that_points_elsewhere(self, copy, change):
         from slbench.datasets import index
@@ -303,6 +328,32 @@ class TestDamage:
         rows[0] |= change
         storage.write(index.INDEX, index.encode(rows, Manifest.load(storage).columns))
         assert "sample 0" in refusal(lambda: datasets.open(copy))
+
+    def test_more_bytes_than_there_are_are_not_asked_for(self, data):
+        row = data[0].row | {"size": 2**62}
+        assert "the shard ends there" in refusal(lambda: replace(data[0], row=row).members)
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            (lambda table: table.drop_columns(["height_mm"]), "no column"),
+            (lambda table: table.drop_columns(["offset"]), "no column"),
+            (lambda table: table.append_column("more", table["key"]), "'more'"),
+            (lambda table: table.append_column("key", table["key"]), "2 column"),
+            (lambda table: table.set_column(0, "sample", table["key"]), "sample of int64"),
+            (
+                lambda table: table.drop_columns(["height_mm"]).append_column(
+                    "height_mm", table["key"]
+                ),
+                "height_mm of double, got string",
+            ),
+        ],
+    )
+    def test_columns_are_those_of_the_manifest(self, copy, change, words):
+        parquet = pytest.importorskip("pyarrow.parquet")
+        path = copy / "index.parquet"
+        parquet.write_table(change(parquet.read_table(path)), path)
+        assert words in refusal(lambda: datasets.open(copy))
 
     @pytest.mark.parametrize("kind", ["missing", "empty", "file"])
     def test_no_data_set(self, tmp_path, kind):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from slbench.datasets.distributions import Distribution, column, find, stream
-from slbench.datasets.sampling import check, draw, place_scene, sample_seed
+from slbench.datasets.sampling import check, draw, outside_volume, place_scene, sample_seed
 from slbench.datasets.spec import load, shipped
 from slbench.errors import InputError
 from slbench.scenefile import load_scene
@@ -58,6 +58,19 @@ class TestDistributions:
         far = Distribution(normal=(0.0, 1.0), within=(4.0, 5.0))
         assert 4.0 <= far.draw(Fixed()) <= 5.0
         assert np.isfinite(Distribution(normal=(0.0, 1.0)).draw(Fixed()))
+
+    @pytest.mark.parametrize("within", [(8.0, 9.0), (-9.0, -8.0)])
+    def test_a_far_tail_is_as_fine_as_any_other_part(self, within):
+        # By the distribution of the tail itself: the normal one is 1 - 6e-16 at 8 deviations, where
+        # doubles have six values left.
+        values = np.abs(drawn(count=500, normal=(0.0, 1.0), within=within))
+        assert len(set(values)) == 500
+        tail = stats.norm.sf(8.0) - stats.norm.sf(9.0)
+
+        def expected(x):
+            return (stats.norm.sf(8.0) - stats.norm.sf(x)) / tail
+
+        assert stats.kstest(values, expected).pvalue > 1e-4
 
     def test_streams_are_independent(self):
         a, b = (
@@ -114,13 +127,11 @@ class TestDraws:
 
     def test_a_preview_is_the_scene_seen_coarser(self, tmp_path):
         specification, files = load("mixed")
-        made = draw(specification, 0, 0, kind=3, preview=True)
-        full = draw(specification, 0, 0, kind=3)
-        assert made.values == full.values
+        made = draw(specification, 0, 0, kind=3)
         for name in ("coarse", "full"):
             (tmp_path / name).mkdir()
         coarse = place_scene(made, files, tmp_path / "coarse", True)
-        expected = place_scene(full, files, tmp_path / "full", False).coarser(2, 16)
+        expected = place_scene(made, files, tmp_path / "full", False).coarser(2, 16)
         ours, theirs = coarse.rig.camera, expected.rig.camera
         assert (ours.width, ours.height) == (theirs.width, theirs.height) == (320, 240)
         # Pitches are written in um, a rounding each way.
@@ -144,7 +155,7 @@ class TestDraws:
         specification, files = load(spec)
         assert set(files) == {"rig.yaml", "mesh.part.ply"} == specification.files()
         (tmp_path / "sample").mkdir()
-        made = draw(specification, 0, 0, preview=True)
+        made = draw(specification, 0, 0)
         scene = place_scene(made, files, tmp_path / "sample", True)
         again = load_scene(tmp_path / "sample" / "scene.toml")
         assert scene.rig.camera.width == again.rig.camera.width == rig.camera.width // 2
@@ -222,6 +233,38 @@ class TestRefused:
             ({"samples_per_shard": 0}, ("samples_per_shard",)),
             ({"weight_bits": 24}, ("weight_bits",)),
             ({"marginals": ["u", "u"]}, ("each once",)),
+            (
+                {"marginals": ["u"], "patterns": [{"sequence": "1,10", "axes": "uv"}]},
+                ("tiny.toml: marginals", "'v'", "patterns[0]"),
+            ),
+            (
+                {"objects": [{"kind": {"choice": ["sphere", "gear"]}}]},
+                ("objects[0].kind", "[[objects]] for each"),
+            ),
+            ({"objects": [{"name": "a", "kind": ["sphere"]}]}, ("objects[0].kind",)),
+            (
+                {"objects": [{"kind": "sphere", "parameters": 5}]},
+                ("objects[0].parameters", "a table with radius_mm"),
+            ),
+            (
+                {"objects": [{"kind": "sphere", "parameters": {"choice": [1, 2]}}]},
+                ("objects[0].parameters", "a table with radius_mm"),
+            ),
+            ({"objects": [{"artefact": "../a.toml"}]}, ("objects[0].artefact", "leaves")),
+            ({"scene": {"render": {"samples": 4}}}, ("scene.rig", "a table")),
+            ({"scene": _scene(rig=5)}, ("scene.rig", "a table")),
+            ({"scene": _scene(rig={"choice": ["a.yaml"]})}, ("scene: rig",)),
+            ({"scene": _scene(camera=5)}, ("scene.camera", "a table")),
+            ({"scene": _scene(preview=5)}, ("scene.preview", "a table")),
+            ({"scene": _scene(preview={"uniform": [1, 2]})}, ("scene.preview", "a table")),
+            (
+                {"scene": _scene(render={"samples": {"integers": [1, 10**20]}})},
+                ("scene.render.samples.integers[1]", "9223372036854775808"),
+            ),
+            (
+                {"scene": _scene(light={"bounces": {"choice": [float("nan"), 1.0]}})},
+                ("scene.light.bounces.choice[0]", "nan"),
+            ),
         ],
     )
     def test_loading_names_what_is_wrong(self, changes, words, tmp_path):
@@ -262,6 +305,52 @@ class TestRefused:
             check(specification, files, 0, False, tmp_path)
         for word in words:
             assert word in str(caught.value)
+
+    @pytest.mark.parametrize(
+        ("changes", "words"),
+        [
+            ({"camera": {"resolution_px": "big"}}, ("camera.resolution_px", "'big'")),
+            ({"camera": {"resolution_px": [48]}}, ("camera.resolution_px[1]",)),
+            ({"preview": {"divisor": "a"}}, ("preview.divisor", "'a'")),
+            ({"preview": {"samples": 0}}, ("preview.samples",)),
+        ],
+    )
+    def test_a_scene_is_checked_before_it_is_made_coarser(self, changes, words, tmp_path):
+        specification, files = load(write_spec(tmp_path, scene=_scene(**changes)))
+        with pytest.raises(InputError) as caught:
+            check(specification, files, 0, True, tmp_path)
+        for word in words:
+            assert word in str(caught.value)
+
+    @pytest.mark.parametrize("content", ['kind = "sphere"\nparameters = 5\n', "kind = 5\n"])
+    def test_a_bad_artefact_file_is_named(self, content, tmp_path):
+        (tmp_path / "bad.toml").write_text(content)
+        with pytest.raises(InputError, match=r"^bad.toml: (parameters|kind): .*got 5$"):
+            load(write_spec(tmp_path, objects=[{"name": "a", "artefact": "bad.toml"}]))
+
+    def test_an_error_that_comes_again_stops_the_check_and_names_the_users_file(self, tmp_path):
+        (tmp_path / "bad.ply").write_text("ply\nnope")
+        objects = [{"name": "a", "mesh": "bad.ply", "unit": "mm"}]
+        specification, files = load(write_spec(tmp_path, objects=objects))
+        place = tmp_path / "place"
+        place.mkdir()
+        with pytest.raises(InputError, match=r"scene\.toml: bad\.ply: expected a mesh") as caught:
+            check(specification, files, 0, False, place)
+        assert str(tmp_path) not in str(caught.value)
+        assert len(list(place.iterdir())) < 20
+
+    def test_one_draw_a_sample_does_not_refuse_what_most_samples_can_have(self, tmp_path):
+        # Sample 0 of seed 0 draws a ball outside the volume first; three quarters lie inside.
+        limits = {"inside_volume": True, "max_draws": 1}
+        specification, files = load(write_spec(tmp_path, constraints=limits))
+        (tmp_path / "first").mkdir()
+        scene = place_scene(draw(specification, 0, 0, kind=1), files, tmp_path / "first", False)
+        assert outside_volume(scene)
+        check(specification, files, 0, False, tmp_path)
+
+    def test_whole_numbers_with_a_base_fit_in_the_index(self):
+        with pytest.raises(ValueError, match="64 bits"):
+            Distribution(integers=(0, 1), add=True, base=2**63 - 1)
 
     def test_an_unknown_name_lists_the_shipped_ones(self):
         with pytest.raises(InputError, match="mixed"):

@@ -87,7 +87,16 @@ class TestItems:
         with pytest.raises(TypeError):
             captures[2]
 
-    @pytest.mark.parametrize("options", [{"keep": -1}, {"seed": -1}])
+    def test_kept_samples_stay_in_their_process(self, data):
+        captures = CaptureDataset(data, "1", keep=2)
+        bare = len(pickle.dumps(captures))
+        first = fingerprint([captures[0]])
+        content = pickle.dumps(captures)
+        assert len(content) <= bare + 100
+        assert captures._kept  # it goes on keeping them itself
+        assert fingerprint([pickle.loads(content)[0]]) == first
+
+    @pytest.mark.parametrize("options", [{"keep": -1}, {"seed": -1}, {"seed": True}])
     def test_bad_options(self, data, options):
         with pytest.raises(InputError):
             CaptureDataset(data, "1", **options)
@@ -124,7 +133,12 @@ class TestEpochs:
         # Plain pickling copies; the epoch comes along.
         assert pickle.loads(pickle.dumps(captures)).epoch == 4
 
-    @pytest.mark.parametrize("epoch", [-1, 1.5, "1"])
+    def test_numpys_whole_numbers_are_epochs(self, data):
+        captures = CaptureDataset(data, "1")
+        captures.set_epoch(np.int64(3))
+        assert captures.epoch == 3
+
+    @pytest.mark.parametrize("epoch", [-1, 1.5, "1", True])
     def test_bad_epochs(self, data, epoch):
         with pytest.raises(InputError, match="epoch"):
             CaptureDataset(data, "1").set_epoch(epoch)

@@ -105,7 +105,8 @@ def packed(number: int, frames: bool) -> bytes:
 def write_dataset(folder: Path, frames: bool = True) -> Path:
     """Write the data set to `folder` and return it."""
     drawn = index.columns(DRAWN, ["p0r0"] if frames else [])
-    patterns = {"p0": result_of(0).scene.sequence.to_dict()} if frames else {}
+    stored = {"p0r0": {"sequence": PATTERNS, "shifts": 3, "axes": "u", "repeats": 1}}
+    patterns = stored if frames else {}
     manifest = Manifest(
         name="small",
         description="",
@@ -143,6 +144,7 @@ def write_dataset(folder: Path, frames: bool = True) -> Path:
             "kind": "step_block",
             "object": shards.digest(result.scene.objects[0].artefact.mesh.vertices.tobytes()),
             "seed": seed_of(number),
+            "draws": 1,
             "height_mm": height(number),
             "ambient": ambient(number),
             "lit_pixels": int(np.count_nonzero(result.truth.lit)),
