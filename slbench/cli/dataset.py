@@ -55,6 +55,10 @@ def make(
 
     if scheduler is not None and workers is not None:
         raise InputError("--workers", "no number of workers beside --scheduler", workers)
+    in_processes = scheduler is not None or workers != 0
+    if in_processes and any(part.startswith("memory:") for part in out.split("::")):
+        expected = "a place that other processes reach too, or --workers 0"
+        raise InputError("--out", expected, f"{out}, which each process has of its own")
     specification, files = load(spec)
     # Ahead of the cluster, which takes seconds to start.
     check_request(specification, files, out, seed=seed, preview=preview, resume=resume)
@@ -71,7 +75,7 @@ def make(
                 made = make_dataset(
                     specification,
                     files,
-                    out,
+                    _absolute(out),
                     count,
                     cluster,
                     seed=seed,
@@ -79,22 +83,34 @@ def make(
                     resume=resume,
                     on_progress=report,
                 )
+        write_card(out)
     except (LostError, SupersededError) as error:
         print(f"stopped: {error}; --resume makes the rest", file=sys.stderr)
         raise typer.Exit(1) from None
-    write_card(out)
+    except KeyboardInterrupt:
+        print("stopped; --resume makes the rest", file=sys.stderr)
+        raise typer.Exit(130) from None
     if as_json:
-        print_json(made.to_dict())
+        print_json(made.to_dict() | {"out": out})
     else:
         rate = made.made / made.seconds
+        rejected = f"{100.0 * made.rejection_rate:.1f} % of draws rejected; "
         print(
             f"{made.count - made.failed} samples in {out}: {made.made} made, {made.kept} kept, "
-            f"{made.failed} failed; {100.0 * made.rejection_rate:.1f} % of draws rejected; "
+            f"{made.failed} failed; {rejected if made.failed < made.count else ''}"
             f"{rate:.2f} samples a second. Card: {out.rstrip('/')}/README.md"
         )
     if made.failed:
         print(f"{made.failed} samples failed; slbench dataset info tells why", file=sys.stderr)
         raise typer.Exit(1)
+
+
+def _absolute(out: str) -> str:
+    """Return a folder by its whole path: workers need not stand where this process does."""
+    from slbench.datasets.storage import Storage
+
+    local = Storage(out).local
+    return out if local is None else str(local.absolute())
 
 
 @contextmanager

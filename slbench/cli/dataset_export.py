@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import re
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from slbench.cli.common import Json, Seed, check_folder, print_json, progress
+from slbench.errors import InputError
+from slbench.io import atomic_folder
 
 EXAMPLE = (
     "slbench dataset export data --format hdf5 --out data.h5 "
     "--patterns 1,10,50 --where \"kind == 'gear'\""
 )
+_PART = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)=([0-9.eE+-]+)")
 
 
 def export(
@@ -30,6 +35,13 @@ def export(
     noise: Annotated[
         bool, typer.Option("--noise/--no-noise", help="Detector noise of those; rounding stays.")
     ] = True,
+    split: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=FRACTION",
+            help="A part, in --out by its name; no object is in two.  Repeat for others.",
+        ),
+    ] = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
@@ -40,17 +52,55 @@ def export(
     from slbench.datasets.recipe import Recipe
     from slbench.patterns import PatternSequence
 
-    check_target(form, out)
+    fractions = _fractions(split or [])
+    if fractions:  # --out is a folder, whatever stands in it
+        check_target("frames", out)
+    for name in fractions:
+        check_target(form, _target(out, form, name))
+    if not fractions:
+        check_target(form, out)
     check_folder(out.parent)
     data = datasets.open(dataset)
     if where is not None:
         data = data.where(where)
     if patterns is not None and len(data):
         PatternSequence.parse(patterns, data[0].transport.panel)  # before anything is written
+    recipe = Recipe(patterns, None, noise, seed)
+    counts: dict[str, int] = {}
     with progress(as_json) as report:
-        tell = None if report is None else lambda done: report("export", done)
-        count = write(data, out, form, Recipe(patterns, None, noise, seed), tell)  # type: ignore[arg-type]
+        if fractions:
+            parts = data.split(**fractions)  # type: ignore[arg-type]
+            with atomic_folder(out) as temporary:
+                for name, part in parts.items():
+                    tell = None if report is None else partial(report, f"export {name}")
+                    target = _target(temporary, form, name)
+                    counts[name] = write(part, target, form, recipe, tell)  # type: ignore[arg-type]
+            count = sum(counts.values())
+        else:
+            tell = None if report is None else partial(report, "export")
+            count = write(data, out, form, recipe, tell)  # type: ignore[arg-type]
     if as_json:
-        print_json({"samples": count, "format": form, "patterns": patterns, "out": str(out)})
+        said = {"samples": count, "format": form, "patterns": patterns, "out": str(out)}
+        print_json(said | ({"parts": counts} if counts else {}))
     else:
-        print(f"{count} samples written to {out}")
+        shares = ", ".join(f"{name} {number}" for name, number in counts.items())
+        print(f"{count} samples written to {out}" + (f": {shares}" if shares else ""))
+
+
+def _fractions(texts: list[str]) -> dict[str, float]:
+    """Return the share of each part, by its name."""
+    fractions: dict[str, float] = {}
+    for text in texts:
+        found = _PART.fullmatch(text)
+        try:
+            name, share = found[1], float(found[2])  # type: ignore[index]
+        except (TypeError, ValueError):
+            raise InputError("--split", "a name and a fraction: train=0.8", repr(text)) from None
+        if name in fractions or name == "seed":
+            raise InputError("--split", "parts of different names, none of them seed", repr(name))
+        fractions[name] = share
+    return fractions
+
+
+def _target(folder: Path, form: str, name: str) -> Path:
+    return folder / (f"{name}.h5" if form == "hdf5" else name)
