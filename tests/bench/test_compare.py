@@ -315,6 +315,7 @@ class TestVibration:
         assert there.pairs == back.pairs
         assert there["1,10,50"].std_ci95_mm == back["1,10,50"].std_ci95_mm
 
+    @pytest.mark.slow
     def test_false_alarms_and_coverage(self):
         # Equal sets whose pixels scatter together and by themselves, in equal parts, seen in six
         # repeats.  Of 100 tests at 5 %, 13 or more alarm with a probability of 0.15 %; of 100

@@ -51,6 +51,7 @@ def test_all_models_of_100000_points(benchmark):
     assert set(found.selected.values()) == {"M4"}
 
 
+@pytest.mark.slow
 def test_faster_than_fitting_each_alone():
     some = POINTS.select(np.arange(25_000))
     times = []

@@ -41,6 +41,7 @@ def test_whole_sensor_time(benchmark):
     assert result.n_points[0] > 100_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stride", [(20, 24), (1, 1)])
 def test_many_times_faster_than_numpy(stride):
     rows = BATCH if stride == (20, 24) else TABLE_4[[4]]

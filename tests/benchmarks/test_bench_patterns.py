@@ -32,6 +32,7 @@ def test_closed_form_time(benchmark):
     assert found.fringes == (1, 10, 50)
 
 
+@pytest.mark.slow
 def test_simulation_takes_several_times_as_long(benchmark):
     exact_s, sampled_s = [], []
 

@@ -45,6 +45,7 @@ def test_no_rig_has_no_box():
     assert np.all(largest_box(MACRO, [500.0, 0, 0, 100, -np.pi / 2, 0.2]) == 0)
 
 
+@pytest.mark.slow
 def test_a_microscope_rig_closes_up_until_the_bodies_touch():
     """Thesis 5.2: maximising the volume minimises the angle between the axes."""
     hardware = load_hardware("hardware/micro-ch8")
