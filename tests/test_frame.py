@@ -30,6 +30,7 @@ STREAM = (
     "materials",
     "detector",
     "scene",
+    "scenetables",
     "scenefile",
     "transport",
     "truth",

@@ -33,7 +33,8 @@ from slbench.rig import (
     box_corners,
     rotation_yx,
 )
-from slbench.scenefile import DetectorTable, Optics, ProjectorOptics, read_merged
+from slbench.scenefile import read_merged
+from slbench.scenetables import DetectorTable, Optics, ProjectorOptics
 from slbench.validation import Finite, Parameters, validated
 
 Array = NDArray[np.float64]
