@@ -44,6 +44,7 @@ from slbench.detector import (
 from slbench.errors import InputError
 from slbench.io import read_grey, read_toml, write_png, write_toml
 from slbench.patterns import (
+    MIN_MODULATION_DN,
     Axis,
     NoiseModel,
     PatternSequence,
@@ -138,15 +139,28 @@ class Capture:
         if self.rig is not None:
             _check_sizes(self.rig, frames.shape, self.sequence.panel)
 
-    def decode(self, **options: Any) -> PhaseMap:
-        """Decode the frames; `options` as for :func:`slbench.patterns.decode`."""
-        if self.min_modulation_dn is not None:
-            options.setdefault("min_modulation", self.min_modulation_dn)
+    @property
+    def least_modulation_dn(self) -> float:
+        """Least modulation of a pixel that is measured: `min_modulation_dn` or the default."""
+        own = self.min_modulation_dn
+        return MIN_MODULATION_DN if own is None else own
+
+    def decode(self, min_modulation: float | None = None, **options: Any) -> PhaseMap:
+        """Decode the frames.
+
+        Parameters
+        ----------
+        min_modulation : float, optional
+            DN; :attr:`least_modulation_dn` by default.
+        **options
+            As for :func:`slbench.patterns.decode`.
+        """
         return decode(
             self.frames,
             self.sequence,
             noise=self.noise,
             saturation=self.saturation_dn or 2**self.bit_depth - 1,
+            min_modulation=self.least_modulation_dn if min_modulation is None else min_modulation,
             **options,
         )
 

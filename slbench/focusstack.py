@@ -29,7 +29,6 @@ from slbench.fusion import Alignment, FusionWeights, selective_weights
 from slbench.fusion.measures import check_window
 from slbench.io import read_grey, read_toml, write_toml
 from slbench.patterns import (
-    MIN_MODULATION_DN,
     Flat,
     Fringes,
     NoiseModel,
@@ -69,13 +68,9 @@ class FusedCapture:
     weights: FusionWeights
 
     def decode(self, **options: Any) -> PhaseMap:
-        """Decode the fused frames; deviations are lessened by what the average gains.
-
-        Where the fusion does not say (:class:`slbench.fusion.PyramidSelection`) they are those
-        of a single frame.
-        """
+        """Decode the fused frames; deviations are lessened by what the average gains."""
         phase = self.capture.decode(**options)
-        gain = getattr(self.weights, "noise_gain", 1.0)
+        gain = self.weights.noise_gain
         return replace(phase, sigma={axis: gain * sigma for axis, sigma in phase.sigma.items()})
 
 
@@ -179,7 +174,7 @@ class FocusStack:
 
         Parameters
         ----------
-        weights : FusionWeights, or anything else with their ``fuse``
+        weights : FusionWeights, or anything else with their ``fuse`` and ``noise_gain``
         alignment : Alignment, optional
             Of the lit frames; every pattern's are moved by it first.
         """
@@ -206,7 +201,7 @@ class FocusStack:
             first.rig,
             first.exposure_s,
             int(scale * saturation),
-            scale * (first.min_modulation_dn or MIN_MODULATION_DN),
+            scale * first.least_modulation_dn,
         )
         return FusedCapture(capture, weights)
 

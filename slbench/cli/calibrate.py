@@ -127,8 +127,7 @@ def apply(
 
     _check_suffix(out, ".ply")
     calibration = CalibrationModel.load(model)
-    limit = {} if min_modulation is None else {"min_modulation": min_modulation}
-    phase = Capture.load(capture).decode(**limit)
+    phase = Capture.load(capture).decode(min_modulation=min_modulation)
     measured = measure(calibration, phase)
     outside = int(np.count_nonzero(measured.extrapolated))
     decoded = len(measured.cloud)

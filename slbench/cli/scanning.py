@@ -178,8 +178,7 @@ def decode(
     shots = Capture.load(folder)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig))
-    limit = {} if min_modulation is None else {"min_modulation": min_modulation}
-    phase = shots.decode(**limit)
+    phase = shots.decode(min_modulation=min_modulation)
     channels = {
         "modulation": phase.modulation,
         "mean": phase.mean,

@@ -35,6 +35,11 @@ class PyramidSelection:
     choice: tuple[NDArray[np.uint16], ...]
     count: int
 
+    @property
+    def noise_gain(self) -> float:
+        """Noise of the fusion over that of one frame: 1, as most coefficients are one frame's."""
+        return 1.0
+
     def fuse(self, stack: Stack) -> NDArray[np.float64]:
         """Return the fusion of a stack's frames, which are read one at a time.
 
