@@ -130,8 +130,8 @@ def assert_acyclic(graph: dict[str, set[str]]) -> None:
 class TestImports:
     def test_the_walk_sees_imports(self):
         # Guards the tests below, which an empty answer would satisfy.
-        assert "slbench.errors" in own_imports("slbench.render.llvm")
-        assert "mitsuba" in imported_names("slbench.render.backend")
+        assert "slbench.core.errors" in own_imports("slbench.simulate.render.backend.llvm")
+        assert "mitsuba" in imported_names("slbench.simulate.render.backend.choice")
         assert "render" in unit_imports()["doctor"]
 
     def test_every_unit_has_its_place(self):
@@ -165,7 +165,11 @@ class TestImports:
 
     def test_nothing_but_render_needs_mitsuba_to_be_imported(self):
         # Under render, the backend and what finds it must be importable without it too.
-        free = ["slbench.render", "slbench.render.backend", "slbench.render.llvm"]
+        free = [
+            "slbench.simulate.render",
+            "slbench.simulate.render.backend.choice",
+            "slbench.simulate.render.backend.llvm",
+        ]
         free += [module for module in MODULES if unit(module) != "render"]
         # Run as a program, __main__ does not come back.
         free = [module for module in free if not module.endswith("__main__")]
@@ -182,7 +186,7 @@ class TestImports:
 
     def test_importing_slbench_loads_nothing_heavy(self):
         code = (
-            "import slbench, slbench.render, sys\n"
+            "import slbench, slbench.simulate.render, sys\n"
             "print(sorted({'mitsuba', 'drjit', 'numba', 'cv2', 'trimesh'} & set(sys.modules)))\n"
         )
         child = subprocess.run(

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from slbench import datasets
-from slbench.datasets.torch_adaptor import CaptureDataset, loader
+from slbench.datasets.read.torch_adaptor import CaptureDataset, loader
 
 FRINGES, PIXELS, EPOCHS, WIDTH = 8, 2000, 30, 128
 PATTERNS = f"{FRINGES}@3"

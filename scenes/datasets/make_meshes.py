@@ -10,7 +10,7 @@ import manifold3d
 import numpy as np
 import trimesh
 
-from slbench.io import write_ply
+from slbench.core.io import write_ply
 
 FOLDER = Path(__file__).parent / "meshes"
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binom, t
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 Array = NDArray[np.float64]
 

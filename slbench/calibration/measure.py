@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.calibration.model import CalibrationModel
-from slbench.errors import InputError
+from slbench.calibration.models.model import CalibrationModel
+from slbench.cloud.triangulation import PointCloud
+from slbench.core.errors import InputError
 from slbench.patterns import Axis, PhaseMap
-from slbench.reconstruct import PointCloud
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.calibration.polynomials import VARIABLES, Axes, checked_inputs
-from slbench.errors import InputError
-from slbench.io import read_table, write_table
+from slbench.calibration.models.polynomials import VARIABLES, Axes, checked_inputs
+from slbench.core.errors import InputError
+from slbench.core.io import read_table, write_table
 
 Array = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_is_fitted
 
-from slbench.calibration.polynomials import (
+from slbench.calibration.models.polynomials import (
     Basis,
     PolynomialForm,
     Standardisation,
@@ -41,7 +41,7 @@ from slbench.calibration.polynomials import (
     polynomial_form,
 )
 from slbench.calibration.scales import predictive_scale, robust_scale, rounding
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 Array = NDArray[np.float64]
 Loss = Literal["cauchy", "least-squares"]

@@ -31,11 +31,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from slbench.calibration.domain import Domain
-from slbench.calibration.model import COORDINATES, CalibrationModel, CoordinateModel
-from slbench.calibration.multivariate import JointFit, joint_irls
-from slbench.calibration.points import CalibrationPoints
-from slbench.calibration.polynomials import (
+from slbench.calibration.models.domain import Domain
+from slbench.calibration.models.model import COORDINATES, CalibrationModel, CoordinateModel
+from slbench.calibration.models.multivariate import JointFit, joint_irls
+from slbench.calibration.models.polynomials import (
     FORMS,
     Axes,
     Basis,
@@ -44,6 +43,7 @@ from slbench.calibration.polynomials import (
     count_different,
     polynomial_form,
 )
+from slbench.calibration.points import CalibrationPoints
 from slbench.calibration.robust import (
     Loss,
     check_options,
@@ -52,7 +52,7 @@ from slbench.calibration.robust import (
     irls,
 )
 from slbench.calibration.scales import gross_points, predictive_scale
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -261,7 +261,7 @@ def select_models(
     forms : sequence of str
         Candidates.
     multivariate : bool
-        Fit the coordinates together (:mod:`~slbench.calibration.multivariate`): candidates
+        Fit the coordinates together (:mod:`~slbench.calibration.models.multivariate`): candidates
         with the same form in all, then the selected ones jointly.
     validation : float
         Share of the points kept for validation.

@@ -28,7 +28,7 @@ from slbench.cli import (
     scenes,
 )
 from slbench.cli.common import Json, new_app, print_json, print_table
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 app = new_app("A physically based synthetic structured-light scanner and test bench.", "slbench")
 scanning.register(app)
@@ -91,7 +91,7 @@ def _options(
 @app.command(epilog="Example: slbench doctor --json")
 def doctor(as_json: Json = False) -> None:
     """Check the installation: versions, backend, LLVM, GPU, and a test render."""
-    from slbench.doctor import diagnose, exit_status, report
+    from slbench.simulate.doctor import diagnose, exit_status, report
 
     diagnosis = diagnose()
     if as_json:

@@ -9,10 +9,11 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from slbench import objects, resources
+from slbench import objects
 from slbench.cli.common import Json, new_app, print_json, print_table
-from slbench.errors import InputError
-from slbench.io import atomic_path, read_toml
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.core.io import atomic_path, read_toml
 
 app = new_app("Artefacts with certified dimensions.")
 
@@ -78,9 +79,9 @@ def show(
     ] = None,
 ) -> None:
     """Draw an artefact: a shaded render, to scale."""
-    from slbench.figures import object_picture
-    from slbench.materials import PRESETS
-    from slbench.render.show import shade
+    from slbench.report.plots.draw import object_picture
+    from slbench.scene.materials import PRESETS
+    from slbench.simulate.render.show import shade
 
     if material is not None and material not in PRESETS:
         raise InputError("--material", f"one of {', '.join(PRESETS)}", material)

@@ -11,11 +11,11 @@ import typer
 from rich.table import Table
 
 from slbench.cli.common import Json, Seed, check_folder, print_json, print_table, progress
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 if TYPE_CHECKING:
-    from slbench.bench.outcome import Outcome
     from slbench.report import Page
+    from slbench.thesis.outcome import Outcome
 
 EXAMPLE = "slbench bench ch7 --preview --out out/bench --report out/bench/ch7.html"
 
@@ -46,7 +46,7 @@ def bench(
     as_json: Json = False,
 ) -> None:
     """Re-run the experiments of a chapter, and judge each finding of the thesis."""
-    from slbench.bench.outcome import write_outcome
+    from slbench.thesis.outcome import write_outcome
 
     if chapter not in (*CHAPTERS, "all"):
         raise InputError("chapter", f"one of {', '.join(CHAPTERS)}, all", chapter)

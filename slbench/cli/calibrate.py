@@ -11,7 +11,7 @@ import typer
 from rich.table import Table
 
 from slbench.cli.common import Json, Seed, new_app, print_json, print_table
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 app = new_app("Calibrate by one polynomial model of all pixels, and measure with it.")
 
@@ -44,10 +44,10 @@ def fit(
 ) -> None:
     """Fit the models of every world coordinate robustly and choose by cross-validation."""
     from slbench.calibration.points import CalibrationPoints
-    from slbench.calibration.report import gross_note
     from slbench.calibration.selection import select_models
-    from slbench.report.calibrationpage import calibration_page
     from slbench.report.page import check_page_path, write_page
+    from slbench.report.pages.calibration import calibration_page
+    from slbench.twin.report import gross_note
 
     _check_suffix(out, ".json")
     if report is not None:
@@ -92,7 +92,7 @@ def fit(
 
 def _scores(selection: Any) -> Table:
     """Lay the scores of all models out as in thesis fig. 30-32 and table 13, in µm."""
-    from slbench.calibration.report import score_rows
+    from slbench.twin.report import score_rows
 
     table = Table(title="errors / µm; * selected by the least CV")
     for name in ("model", "train RMS", "validation RMS", "validation MAD", "√residual MS", "CV"):
@@ -121,9 +121,9 @@ def apply(
 ) -> None:
     """Decode frames and turn every pixel into a point by a calibration model."""
     from slbench.calibration.measure import measure
-    from slbench.calibration.model import CalibrationModel
-    from slbench.capture import Capture
-    from slbench.io import write_ply
+    from slbench.calibration.models.model import CalibrationModel
+    from slbench.capture.capture import Capture
+    from slbench.core.io import write_ply
 
     _check_suffix(out, ".ply")
     calibration = CalibrationModel.load(model)

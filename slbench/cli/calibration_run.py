@@ -17,7 +17,7 @@ from slbench.cli.common import (
     print_json,
     progress,
 )
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 EXAMPLE = "slbench calibrate run ch8-grid-stack --preview --out out/calibration"
 #: Heights and shifts of a preview.  The methods are compared on every other height: seven leave
@@ -63,18 +63,18 @@ def run(
     """Render the calibration experiment, from dots on a stage to a chosen model."""
     import numpy as np
 
-    from slbench.calibration.baselines import compare_methods
-    from slbench.calibration.experiment import (
+    from slbench.calibration.models.baselines import compare_methods
+    from slbench.calibration.selection import forms_for, select_models
+    from slbench.report.page import check_page_path, write_page
+    from slbench.report.pages.calibration import calibration_page
+    from slbench.scene.file import load_scene
+    from slbench.twin.experiment import (
         Y_STEPS,
         Z_STEPS,
         run_experiment,
         stage_positions,
     )
-    from slbench.calibration.report import tables, to_dict, write_experiment, write_points
-    from slbench.calibration.selection import forms_for, select_models
-    from slbench.report.calibrationpage import calibration_page
-    from slbench.report.page import check_page_path, write_page
-    from slbench.scenefile import load_scene
+    from slbench.twin.report import tables, to_dict, write_experiment, write_points
 
     check_folder(out)
     if page is not None:

@@ -13,10 +13,10 @@ from rich.table import Table
 from rich.text import Text
 
 from slbench.cli.common import Json, Preview, Seed, print_json, print_table, progress
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 if TYPE_CHECKING:
-    from slbench.bench.check import Result
+    from slbench.bench.claims.check import Result
 
 _STYLES = {"holds": "green", "fails": "red", "regressed": "red", "undecided": "yellow"}
 
@@ -44,7 +44,7 @@ def check(
     as_json: Json = False,
 ) -> None:
     """Measure what a claims file claims: exit 0 all hold, 1 one fails, 3 one is undecided."""
-    from slbench.bench.baseline import (
+    from slbench.bench.claims.baseline import (
         Baseline,
         check_fit,
         compare_with,
@@ -52,10 +52,10 @@ def check(
         read_baseline,
         write_baseline,
     )
-    from slbench.bench.check import check_claim, exit_status, with_regressions
-    from slbench.bench.claims import load_claims
-    from slbench.bench.junit import write_junit
-    from slbench.bench.pools import Pools
+    from slbench.bench.claims.check import check_claim, exit_status, with_regressions
+    from slbench.bench.claims.file import load_claims
+    from slbench.bench.claims.junit import write_junit
+    from slbench.bench.claims.pools import Pools
 
     loaded = load_claims(claims, preview=preview)
     kept = baseline or default_path(claims)
@@ -144,7 +144,7 @@ def _summary(
 
 
 def _table(path: Path, results: list[Result]) -> Table:
-    from slbench.bench.check import spread
+    from slbench.bench.claims.check import spread
 
     table = Table(title=path.name)
     for name in ("claim", "measured", "claimed", "repeats", "verdict"):

@@ -18,10 +18,10 @@ from slbench.cli.common import (
     print_table,
     progress,
 )
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 if TYPE_CHECKING:
-    from slbench.bench.comparison import Comparison
+    from slbench.bench.compare.comparison import Comparison
 
 EXAMPLE = "slbench compare step-block --set 1,10,50 --set 1,2,4 --set gray --repeats 15 --preview"
 
@@ -56,11 +56,11 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Compare pattern sets on a scene: repeated scans in the same light."""
-    from slbench.bench.compare import compare as run
-    from slbench.bench.compare import comparison_page, own_shifts, write_comparison
-    from slbench.bench.comparefigure import verdict
-    from slbench.bench.sets import pattern_sets
-    from slbench.scenefile import load_scene
+    from slbench.bench.compare.compare import compare as run
+    from slbench.bench.compare.compare import comparison_page, own_shifts, write_comparison
+    from slbench.bench.compare.sets import pattern_sets
+    from slbench.report.pages.compare import verdict
+    from slbench.scene.file import load_scene
 
     if equal not in (None, "frames", "photons"):
         raise InputError("--equal", "frames or photons", equal)
@@ -102,7 +102,7 @@ def compare(
 
 def _table(result: Comparison) -> Table:
     """Lay the sets out for a terminal: a column a set."""
-    from slbench.bench.comparefigure import tables
+    from slbench.report.pages.compare import tables
 
     sets = tables(result)[0]
     names, *cells = zip(*sets.texts(), strict=True)

@@ -12,7 +12,7 @@ import typer
 
 from slbench.cli import dataset_export
 from slbench.cli.common import Json, Preview, Seed, new_app, print_json, print_table, progress
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 app = new_app("Data sets of many scans: make, verify, describe, export.")
 
@@ -47,11 +47,16 @@ def make(
     as_json: Json = False,
 ) -> None:
     """Make a data set: draw scenes, scan them, pack them in shards with an index."""
-    from slbench.datasets.card import write_card
-    from slbench.datasets.cluster import LostError, existing_cluster, local_cluster, workers_here
-    from slbench.datasets.engine import check_request, make_dataset
-    from slbench.datasets.spec import load
-    from slbench.datasets.tasks import SupersededError
+    from slbench.datasets.make.cluster import (
+        LostError,
+        existing_cluster,
+        local_cluster,
+        workers_here,
+    )
+    from slbench.datasets.make.engine import check_request, make_dataset
+    from slbench.datasets.make.tasks import SupersededError
+    from slbench.datasets.spec.specification import load
+    from slbench.report.pages.dataset import write_card
 
     if scheduler is not None and workers is not None:
         raise InputError("--workers", "no number of workers beside --scheduler", workers)
@@ -107,7 +112,7 @@ def make(
 
 def _absolute(out: str) -> str:
     """Return a folder by its whole path: workers need not stand where this process does."""
-    from slbench.datasets.storage import Storage
+    from slbench.datasets.store.storage import Storage
 
     local = Storage(out).local
     return out if local is None else str(local.absolute())
@@ -145,7 +150,7 @@ def _span(seconds: float) -> str:
 @app.command(epilog="Example: slbench dataset verify data")
 def verify(dataset: DatasetName, as_json: Json = False) -> None:
     """Check every checksum, count and file of a data set."""
-    from slbench.datasets.verify import verify_dataset
+    from slbench.datasets.store.verify import verify_dataset
 
     with progress(as_json) as report:
         tell = None if report is None else lambda done: report("verify", done)
@@ -169,7 +174,7 @@ def info(dataset: DatasetName, as_json: Json = False) -> None:
     """Say what a data set holds."""
     from rich.table import Table
 
-    from slbench.datasets.verify import information
+    from slbench.datasets.store.verify import information
 
     found = information(dataset)
     if as_json:

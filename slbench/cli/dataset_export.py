@@ -10,8 +10,8 @@ from typing import Annotated
 import typer
 
 from slbench.cli.common import Json, Seed, check_folder, print_json, progress
-from slbench.errors import InputError
-from slbench.io import atomic_folder
+from slbench.core.errors import InputError
+from slbench.core.io import atomic_folder
 
 EXAMPLE = (
     "slbench dataset export data --format hdf5 --out data.h5 "
@@ -47,9 +47,9 @@ def export(
 ) -> None:
     """Write a data set, or a part of it, as pictures, HDF5 or BOP."""
     from slbench import datasets
-    from slbench.datasets.export import check_target
-    from slbench.datasets.export import export as write
-    from slbench.datasets.recipe import Recipe
+    from slbench.datasets.export.formats import check_target
+    from slbench.datasets.export.formats import export as write
+    from slbench.datasets.read.recipe import Recipe
     from slbench.patterns import PatternSequence
 
     fractions = _fractions(split or [])

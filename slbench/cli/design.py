@@ -9,7 +9,6 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from slbench import resources
 from slbench.cli import patterns
 from slbench.cli.common import (
     Json,
@@ -20,6 +19,7 @@ from slbench.cli.common import (
     print_table,
     progress,
 )
+from slbench.core import resources
 
 app = new_app("Design of structured-light systems: rigs and pattern sequences.")
 app.command(epilog=f"Example: {patterns.EXAMPLE}")(patterns.patterns)
@@ -42,9 +42,9 @@ def evaluate(
     as_json: Json = False,
 ) -> None:
     """Predict error, coverage and constraints of rig configurations."""
-    from slbench.design.evaluate import THESIS_STRIDE
-    from slbench.design.evaluate import evaluate as run
-    from slbench.design.hardware import load_hardware, read_configurations
+    from slbench.design.rig.evaluate import THESIS_STRIDE
+    from slbench.design.rig.evaluate import evaluate as run
+    from slbench.design.rig.hardware import load_hardware, read_configurations
 
     rows = read_configurations(configurations)
     result = run(load_hardware(hardware), rows, stride=(1, 1) if full else THESIS_STRIDE)
@@ -98,17 +98,17 @@ def rig(
     as_json: Json = False,
 ) -> None:
     """Search for the best rigs of given hardware; report them, and a scene to scan."""
-    from slbench.design.evaluate import evaluate as run
-    from slbench.design.front import Front
-    from slbench.design.hardware import (
+    from slbench.design.rig.evaluate import evaluate as run
+    from slbench.design.rig.hardware import (
         load_hardware,
         read_configurations,
         thesis_configurations,
     )
-    from slbench.design.optimise import optimise
-    from slbench.design.report import write_design
-    from slbench.design.volume import largest_box
-    from slbench.scenefile import read_merged
+    from slbench.design.rig.optimise import optimise
+    from slbench.design.rig.volume import largest_box
+    from slbench.design.search.front import Front
+    from slbench.report.plots.rig_design import write_design
+    from slbench.scene.file import read_merged
 
     check_folder(out)
     loaded = load_hardware(hardware)
@@ -182,11 +182,11 @@ def verify(
     as_json: Json = False,
 ) -> None:
     """Scan a plate with each rig and compare the errors with the predicted ones."""
-    from slbench.design.constraints import feasible_sample
-    from slbench.design.hardware import load_hardware, read_configurations
-    from slbench.design.verify import draw
-    from slbench.design.verify import verify as run
-    from slbench.io import atomic_folder, write_json, write_provenance
+    from slbench.core.io import atomic_folder, write_json, write_provenance
+    from slbench.design.rig.constraints import feasible_sample
+    from slbench.design.rig.hardware import load_hardware, read_configurations
+    from slbench.design.rig.verify import draw
+    from slbench.design.rig.verify import verify as run
 
     check_folder(out)
     loaded = load_hardware(hardware)
@@ -229,7 +229,7 @@ def _reporter(report: Any, budget: int) -> Any:
     The reference point is a tenth of its extent beyond the worst of the first front that has
     one; the hypervolume is shown relative to that front's.
     """
-    from slbench.design.front import hypervolume
+    from slbench.design.search.front import hypervolume
 
     first: dict[str, Any] = {}
     batches = 0

@@ -11,8 +11,8 @@ import typer
 from rich.table import Table
 
 from slbench.cli.common import Json, check_folder, print_json, print_table, progress
-from slbench.errors import InputError
-from slbench.io import atomic_folder, write_exr, write_png
+from slbench.core.errors import InputError
+from slbench.core.io import atomic_folder, write_exr, write_png
 
 METHODS = ("saf", "maximum", "pyramid")
 ALIGNMENTS = ("none", "translation", "affine", "homography")
@@ -56,8 +56,8 @@ def fuse(
     A focus stack of captures (a folder with a stack.toml, as slbench scan writes it) becomes one
     capture: every pattern is fused with the weights of the lit frames.
     """
-    from slbench.focusstack import MANIFEST
-    from slbench.fusion import Photographs
+    from slbench.capture.fusion import Photographs
+    from slbench.capture.stack import MANIFEST
 
     if (folder / MANIFEST).exists():
         _fuse_stack(folder, out, method, measure, align, variant, window, as_json)
@@ -107,8 +107,8 @@ def _fuse_stack(
     as_json: bool,
 ) -> None:
     """Fuse a stack of captures into one, with the maps of the weights beside it."""
-    from slbench import fusion
-    from slbench.focusstack import FocusStack, modulation_weights
+    from slbench.capture import fusion
+    from slbench.capture.stack import FocusStack, modulation_weights
 
     if method != "modulation":
         _check_choices(method, align, measure, variant, window)
@@ -158,8 +158,8 @@ def _fuse_stack(
 
 def _check_choices(method: str, align: str, measure: str, variant: str, window: int) -> None:
     """Refuse what there is not before frames are aligned, which takes long."""
-    from slbench.fusion.measures import check_measure
-    from slbench.fusion.selective import VARIANTS
+    from slbench.capture.fusion.measures import check_measure
+    from slbench.capture.fusion.selective import VARIANTS
 
     if method not in METHODS:
         raise InputError("--method", f"one of {', '.join(METHODS)}", method)
@@ -195,7 +195,7 @@ def _fused(
 
     `grey` gives the alignment and the weights, `stack` the frames that are fused.
     """
-    from slbench import fusion
+    from slbench.capture import fusion
 
     summary: dict[str, Any] = {}
     if align != "none":
@@ -222,7 +222,7 @@ def _fused(
 
 def _weights(grey: Any, method: str, measure: str, variant: str, window: int, report: Any) -> Any:
     """Return what fuses stacks like `grey` by one of the methods."""
-    from slbench import fusion
+    from slbench.capture import fusion
 
     if method == "pyramid":
         return fusion.pyramid_selection(grey)

@@ -19,7 +19,7 @@ from slbench.cli.common import (
     print_table,
     progress,
 )
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 EXAMPLE = (
     "slbench design patterns --width-px 400 --noise-rad 0.036 --noise-step 0.001 "
@@ -105,13 +105,19 @@ def patterns(
     as_json: Json = False,
 ) -> None:
     """Design the sequence of fringe sets that the phase noise of a system asks for."""
-    from slbench.capture import Capture
-    from slbench.design.bounded import bounded_sequence
-    from slbench.design.fringe_figures import check_figure, draw
-    from slbench.design.fringes import candidates, doubling, single_step, thesis_sequence, usable
-    from slbench.design.noise import PhaseNoise, noise_of_captures
-    from slbench.design.trial import noise_of_scene, scan_repeatedly
-    from slbench.scenefile import load_scene
+    from slbench.capture.capture import Capture
+    from slbench.design.fringes.bounded import bounded_sequence
+    from slbench.design.fringes.design import (
+        candidates,
+        doubling,
+        single_step,
+        thesis_sequence,
+        usable,
+    )
+    from slbench.design.fringes.noise import PhaseNoise, noise_of_captures
+    from slbench.design.fringes.trial import noise_of_scene, scan_repeatedly
+    from slbench.report.plots.fringe_design import check_figure, draw
+    from slbench.scene.file import load_scene
 
     sources = {
         "--noise-rad": noise_rad,
@@ -262,7 +268,7 @@ def _left_out(noise: Any, counts: list[int], width: int) -> dict[int, str]:
 
 def _predicted(text: str, width: int, noise: Any) -> Any:
     """Return the prediction for a sequence such as ``1,2,4`` or ``1,8@12``."""
-    from slbench.design.fringes import predict
+    from slbench.design.fringes.design import predict
     from slbench.patterns import Fringes, PatternSequence
 
     parts = PatternSequence.parse(text, (width, width), shifts=noise.shifts, axes="u").parts
@@ -274,9 +280,9 @@ def _predicted(text: str, width: int, noise: Any) -> Any:
 
 def _load_compiled(criterion: str, method: str) -> None:
     """Design a tiny case, so that loading compiled code is not in the time of the real one."""
-    from slbench.design.bounded import bounded_sequence
-    from slbench.design.fringes import thesis_sequence
-    from slbench.design.noise import PhaseNoise
+    from slbench.design.fringes.bounded import bounded_sequence
+    from slbench.design.fringes.design import thesis_sequence
+    from slbench.design.fringes.noise import PhaseNoise
 
     tiny = PhaseNoise.constant(0.2, [1, 2, 4])
     if criterion == "bounded":
@@ -316,10 +322,10 @@ def noise(
     """Measure the phase noise of a scene's rig by fringes and height, as thesis fig. 25."""
     import numpy as np
 
-    from slbench.design.characterise import characterise, draw
-    from slbench.design.fringes import candidates
-    from slbench.io import atomic_folder, write_provenance
-    from slbench.scenefile import load_scene
+    from slbench.core.io import atomic_folder, write_provenance
+    from slbench.design.fringes.characterise import characterise, draw
+    from slbench.design.fringes.design import candidates
+    from slbench.scene.file import load_scene
 
     check_folder(out)
     loaded = load_scene(scene, preview=preview)

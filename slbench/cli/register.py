@@ -11,8 +11,15 @@ import typer
 from rich.table import Table
 
 from slbench.cli.common import Json, check_folder, print_json, print_table, progress
-from slbench.errors import InputError
-from slbench.io import atomic_folder, read_ply, read_table, write_json, write_ply, write_provenance
+from slbench.core.errors import InputError
+from slbench.core.io import (
+    atomic_folder,
+    read_ply,
+    read_table,
+    write_json,
+    write_ply,
+    write_provenance,
+)
 
 EXAMPLE = "slbench register view1.ply view2.ply view3.ply --positions stage.csv --out out/merged"
 COLUMNS = ("x_mm", "y_mm", "z_mm")
@@ -44,7 +51,7 @@ def register_views(
     as_json: Json = False,
 ) -> None:
     """Register views of one object, measured or simulated, and merge them."""
-    from slbench import registration
+    from slbench.cloud import registration
 
     check_folder(out)
     for option, value in (("--stage-um", stage_um), ("--tilt-mrad", tilt_mrad)):

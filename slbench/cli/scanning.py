@@ -20,8 +20,8 @@ from slbench.cli.common import (
     print_table,
     progress,
 )
-from slbench.errors import InputError
-from slbench.io import atomic_folder, write_exr, write_json, write_provenance
+from slbench.core.errors import InputError
+from slbench.core.io import atomic_folder, write_exr, write_json, write_provenance
 
 
 def register(app: typer.Typer) -> None:
@@ -63,10 +63,10 @@ def scan(
 ) -> None:
     """Measure a scene: trace, capture, decode, triangulate and score it."""
     from slbench.report.page import check_page_path, write_page
-    from slbench.report.scanpage import scan_page
-    from slbench.scan import scan as run
-    from slbench.scanfolder import write_scan
-    from slbench.scenefile import load_scene
+    from slbench.report.pages.scan import scan_page
+    from slbench.scene.file import load_scene
+    from slbench.simulate.folder import write_scan
+    from slbench.simulate.scan import scan as run
 
     loaded = load_scene(scene, preview=preview)
     if patterns is not None or steps is not None or axes is not None:
@@ -106,7 +106,7 @@ def scan(
 
 def _scan_table(result: Any) -> Table:
     """Lay a scan's score out for people."""
-    from slbench.report.scanpage import overall_rows, seconds
+    from slbench.report.pages.scan import overall_rows, seconds
 
     score = result.score
     table = Table(title=f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}")
@@ -168,10 +168,10 @@ def decode(
     as_json: Json = False,
 ) -> None:
     """Decode frames from disk, simulated or photographed, and triangulate where a rig is known."""
-    from slbench.capture import Capture
-    from slbench.reconstruct import triangulate
+    from slbench.capture.capture import Capture
+    from slbench.cloud.triangulation import triangulate
     from slbench.rig.opencv import read_rig
-    from slbench.scanfolder import write_cloud
+    from slbench.simulate.folder import write_cloud
 
     target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
     check_folder(target)
@@ -221,8 +221,8 @@ def export(
 ) -> None:
     """Write a scene as Mitsuba XML, where Mitsuba's stock plugins can express it."""
     from slbench.patterns import panel_response
-    from slbench.render.translate import export_xml
-    from slbench.scenefile import load_scene
+    from slbench.scene.file import load_scene
+    from slbench.simulate.render.translate import export_xml
 
     if path.suffix.lower() != ".xml":
         raise InputError("path", "a name that ends in .xml", path)

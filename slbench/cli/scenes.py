@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from slbench import resources
 from slbench.cli.common import SceneName, new_app
-from slbench.io import read_toml
+from slbench.core import resources
+from slbench.core.io import read_toml
 
 app = new_app("Shipped scenes, and pictures of any scene.")
 
@@ -28,9 +28,9 @@ def show(
     out: Annotated[Path, typer.Option(help="The PNG to write.")],
 ) -> None:
     """Draw a scene: the rig to scale from the front and the side, and the camera's view."""
-    from slbench.figures import scene_picture
-    from slbench.render.trace import trace
-    from slbench.scenefile import load_scene
+    from slbench.report.plots.draw import scene_picture
+    from slbench.scene.file import load_scene
+    from slbench.simulate.render.trace import trace
 
     loaded = load_scene(scene, preview=True)
     scene_picture(loaded, trace(loaded, ("u",)).white(), out)

@@ -22,9 +22,10 @@ from typing import Any, NamedTuple
 
 from pydantic import Field
 
-from slbench import resources
-from slbench.errors import InputError
-from slbench.io import read_toml
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.core.io import read_toml
+from slbench.core.validation import Finite, Parameters, shown, validated
 from slbench.objects.artefact import (
     BODY,
     REFERENCE,
@@ -36,63 +37,66 @@ from slbench.objects.artefact import (
     measure_features,
     surface_height,
 )
-from slbench.objects.ball_bar import BallBarParameters, build_ball_bar, measure_ball_bar
-from slbench.objects.bevel_gear import (
+from slbench.objects.cache import cached
+from slbench.objects.gears.bevel_gear import (
     CurvedGearParameters,
     build_curved_gear,
     measure_curved_gear,
 )
-from slbench.objects.brick import BrickParameters, build_brick, measure_brick
-from slbench.objects.cache import cached
-from slbench.objects.calibration_grid import (
-    CalibrationGridParameters,
-    build_calibration_grid,
-    measure_calibration_grid,
-)
-from slbench.objects.chequerboard import (
-    ChequerboardParameters,
-    build_chequerboard,
-    measure_chequerboard,
-)
-from slbench.objects.circle_grid import (
-    CircleGridParameters,
-    build_circle_grid,
-    measure_circle_grid,
-)
-from slbench.objects.coin import CoinParameters, build_coin, measure_coin
-from slbench.objects.engine_block import (
-    EngineBlockParameters,
-    build_engine_block,
-    measure_engine_block,
-)
-from slbench.objects.gear import GearParameters, build_gear, measure_gear
-from slbench.objects.helical_gear import (
+from slbench.objects.gears.gear import GearParameters, build_gear, measure_gear
+from slbench.objects.gears.helical_gear import (
     HelicalGearParameters,
     build_helical_gear,
     measure_helical_gear,
 )
-from slbench.objects.meshfile import MeshParameters, build_mesh_file
-from slbench.objects.microlens import MicroLensParameters, build_micro_lens, measure_micro_lens
-from slbench.objects.plane import PlaneParameters, build_plane
-from slbench.objects.propeller import (
-    PropellerParameters,
-    build_propeller,
-    measure_propeller,
-)
-from slbench.objects.pyramid_array import (
-    PyramidArrayParameters,
-    build_pyramid_array,
-    measure_pyramid_array,
-)
-from slbench.objects.sinusoid import SinusoidParameters, build_sinusoid, measure_sinusoid
-from slbench.objects.sphere import SphereParameters, build_sphere
-from slbench.objects.stepblock import StepBlockParameters, build_step_block
-from slbench.objects.watch_gear import (
+from slbench.objects.gears.watch_gear import (
     WatchGearParameters,
     build_watch_gear,
     measure_watch_gear,
 )
-from slbench.validation import Finite, Parameters, shown, validated
+from slbench.objects.mesh.file import MeshParameters, build_mesh_file
+from slbench.objects.parts.brick import BrickParameters, build_brick, measure_brick
+from slbench.objects.parts.coin import CoinParameters, build_coin, measure_coin
+from slbench.objects.parts.engine_block import (
+    EngineBlockParameters,
+    build_engine_block,
+    measure_engine_block,
+)
+from slbench.objects.parts.propeller import (
+    PropellerParameters,
+    build_propeller,
+    measure_propeller,
+)
+from slbench.objects.shapes.ball_bar import BallBarParameters, build_ball_bar, measure_ball_bar
+from slbench.objects.shapes.microlens import (
+    MicroLensParameters,
+    build_micro_lens,
+    measure_micro_lens,
+)
+from slbench.objects.shapes.plane import PlaneParameters, build_plane
+from slbench.objects.shapes.pyramid_array import (
+    PyramidArrayParameters,
+    build_pyramid_array,
+    measure_pyramid_array,
+)
+from slbench.objects.shapes.sinusoid import SinusoidParameters, build_sinusoid, measure_sinusoid
+from slbench.objects.shapes.sphere import SphereParameters, build_sphere
+from slbench.objects.shapes.stepblock import StepBlockParameters, build_step_block
+from slbench.objects.targets.calibration_grid import (
+    CalibrationGridParameters,
+    build_calibration_grid,
+    measure_calibration_grid,
+)
+from slbench.objects.targets.chequerboard import (
+    ChequerboardParameters,
+    build_chequerboard,
+    measure_chequerboard,
+)
+from slbench.objects.targets.circle_grid import (
+    CircleGridParameters,
+    build_circle_grid,
+    measure_circle_grid,
+)
 
 __all__ = [
     "BODY",

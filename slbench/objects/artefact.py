@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 #: Name of the face that heights are taken from.
 REFERENCE = "reference"

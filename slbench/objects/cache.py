@@ -23,8 +23,8 @@ import numpy as np
 import platformdirs
 from numpy.typing import NDArray
 
-from slbench.errors import InputError
-from slbench.io import plain, read_npz, write_npz
+from slbench.core.errors import InputError
+from slbench.core.io import plain, read_npz, write_npz
 from slbench.objects.artefact import Artefact, Mesh, PlaneFeature, SphereFeature
 
 VARIABLE = "SLBENCH_CACHE"
@@ -90,7 +90,7 @@ def _key(kind: str, parameters: Mapping[str, Any]) -> str:
 def _code() -> str:
     """Return a hash of the sources and libraries that meshes depend on."""
     digest = hashlib.sha256()
-    for source in sorted(Path(__file__).parent.glob("*.py")):
+    for source in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(source.read_bytes())
     for name in _LIBRARIES:
         try:

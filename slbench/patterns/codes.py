@@ -17,7 +17,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 Axis = Literal["u", "v"]
 

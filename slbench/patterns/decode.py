@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.patterns import _kernels
 from slbench.patterns.codes import Axis, Flat, Fringes, GrayCode
 from slbench.patterns.phase import FloatArray, NoiseModel

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import erfc
 from skimage.restoration import unwrap_phase
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 FloatArray = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.patterns.codes import (
     MIN_SHIFTS,
     Axis,

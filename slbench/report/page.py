@@ -24,9 +24,9 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from slbench.errors import InputError
-from slbench.io import plain
-from slbench.io.atomic import write_bytes
+from slbench.core.errors import InputError
+from slbench.core.io import plain
+from slbench.core.io.atomic import write_bytes
 from slbench.report.cloud import cloud_view
 from slbench.report.parts import Cloud, Page, Part, Picture, Table, Text, shown
 

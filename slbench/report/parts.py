@@ -16,7 +16,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 Array = NDArray[np.float64]
 Cell: TypeAlias = str | float | int | None
@@ -163,7 +163,7 @@ class Page:
     parts : tuple of Table, Picture, Cloud or Text
         In reading order.
     provenance : mapping
-        As :func:`slbench.io.provenance` returns it.
+        As :func:`slbench.core.io.provenance` returns it.
     """
 
     title: str

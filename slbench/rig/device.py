@@ -26,7 +26,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.rig.distortion import (
     apply_homography,
     distort,

@@ -7,7 +7,7 @@ from typing import Literal, Self
 
 import numpy as np
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from slbench.errors import InputError
-from slbench.io import read_opencv_yaml, write_opencv_yaml
+from slbench.core.errors import InputError
+from slbench.core.io import read_opencv_yaml, write_opencv_yaml
 from slbench.rig.device import Camera, Projector
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 Array = NDArray[np.float64]
 

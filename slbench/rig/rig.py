@@ -17,7 +17,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.rig.device import Camera, Projector
 from slbench.rig.pose import Pose, box_corners
 

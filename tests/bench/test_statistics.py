@@ -10,7 +10,7 @@ from slbench.bench.statistics import (
     median_interval,
     percentile_interval,
 )
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 TRIALS = 2000
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from calibration_data import rig_points
 
-from slbench.calibration.polynomials import FORMS, Standardisation, polynomial_form
+from slbench.calibration.models.polynomials import FORMS, Standardisation, polynomial_form
 from slbench.calibration.selection import select_models
 
 TARGET_S = 2.0

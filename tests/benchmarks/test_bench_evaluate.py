@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from reference_evaluator import reference
 
-from slbench import resources
-from slbench.design.evaluate import evaluate
-from slbench.design.hardware import load_hardware, read_configurations
+from slbench.core import resources
+from slbench.design.rig.evaluate import evaluate
+from slbench.design.rig.hardware import load_hardware, read_configurations
 from slbench.rig import DesignVariables
 
 MACRO = load_hardware("hardware/macro-ch6")

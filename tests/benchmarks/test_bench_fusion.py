@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import reference_fusion
 
-from slbench.fusion import selective_weights
+from slbench.capture.fusion import selective_weights
 
 COUNT, SIDE = 10, 512
 

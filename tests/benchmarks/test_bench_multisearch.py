@@ -12,8 +12,14 @@ from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.core.problem import Problem
 from pymoo.optimize import minimize as pymoo_minimize
 
-from slbench.design.front import hypervolume, nondominated, purity, spread_delta, spread_gamma
-from slbench.design.multisearch import minimize
+from slbench.design.search.front import (
+    hypervolume,
+    nondominated,
+    purity,
+    spread_delta,
+    spread_gamma,
+)
+from slbench.design.search.multisearch import minimize
 
 pytestmark = pytest.mark.slow  # some 20 000 evaluations many times over
 

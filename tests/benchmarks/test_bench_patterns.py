@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from slbench.design.fringes import candidates, thesis_sequence
-from slbench.design.noise import PhaseNoise
+from slbench.design.fringes.design import candidates, thesis_sequence
+from slbench.design.fringes.noise import PhaseNoise
 
 COUNTS = candidates(400)
 NOISE = PhaseNoise.constant(0.036, COUNTS)

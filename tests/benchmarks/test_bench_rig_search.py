@@ -5,11 +5,11 @@ import pytest
 from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.core.problem import Problem
 
-from slbench import resources
-from slbench.design.evaluate import evaluate
-from slbench.design.front import hypervolume, nondominated
-from slbench.design.hardware import load_hardware, read_configurations
-from slbench.design.optimise import optimise
+from slbench.core import resources
+from slbench.design.rig.evaluate import evaluate
+from slbench.design.rig.hardware import load_hardware, read_configurations
+from slbench.design.rig.optimise import optimise
+from slbench.design.search.front import hypervolume, nondominated
 
 pytestmark = pytest.mark.slow  # tens of thousands of evaluations
 

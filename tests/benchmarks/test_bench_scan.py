@@ -7,9 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from slbench.reconstruct import triangulate
-from slbench.scan import scan
-from slbench.scenefile import load_scene
+from slbench.cloud.triangulation import triangulate
+from slbench.scene.file import load_scene
+from slbench.simulate.scan import scan
 
 pytestmark = pytest.mark.slow  # whole scans, some of them large
 
@@ -21,8 +21,8 @@ MOST_GIB = 2.0
 MEMORY = """
 import json, resource, sys
 from dataclasses import replace
-from slbench.scan import scan
-from slbench.scenefile import load_scene
+from slbench.simulate.scan import scan
+from slbench.scene.file import load_scene
 
 def peak():
     # Kilobytes on Linux, bytes on macOS.

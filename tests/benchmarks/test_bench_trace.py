@@ -12,12 +12,12 @@ import pytest
 
 from slbench import objects
 from slbench.patterns import PatternSequence
-from slbench.render.mitsuba import mi
-from slbench.render.trace import trace
-from slbench.render.translate import mitsuba_dict
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
-from slbench.scene import Scene, SceneObject
-from slbench.transport import SparseRows
+from slbench.scene.model import Scene, SceneObject
+from slbench.simulate.render.mitsuba import mi
+from slbench.simulate.render.trace import trace
+from slbench.simulate.render.translate import mitsuba_dict
+from slbench.simulate.transport import SparseRows
 
 pytestmark = pytest.mark.slow  # some 10 s
 

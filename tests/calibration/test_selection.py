@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from calibration_data import polynomial_data, rig_points
 
+from slbench.calibration.models.polynomials import FORMS, Standardisation, polynomial_form
 from slbench.calibration.points import CalibrationPoints
-from slbench.calibration.polynomials import FORMS, Standardisation, polynomial_form
 from slbench.calibration.robust import RobustPolynomial
 from slbench.calibration.selection import (
     forms_for,
@@ -15,7 +15,7 @@ from slbench.calibration.selection import (
     select_models,
     split,
 )
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 
 
 @pytest.mark.parametrize("loss", ["cauchy", "least-squares"])

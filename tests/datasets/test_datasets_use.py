@@ -12,7 +12,7 @@ from dataset_specs import write_spec
 from scenes_small import run_cli
 
 from slbench import datasets
-from slbench.scan import scan
+from slbench.simulate.scan import scan
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "datasets-use.md"

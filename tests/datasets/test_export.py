@@ -14,16 +14,16 @@ import trimesh
 from scenes_small import check_refused, run_cli
 
 from slbench import datasets
-from slbench.capture import Capture
-from slbench.datasets.export import export
-from slbench.datasets.export_bop import box, diameter
-from slbench.datasets.export_frames import depth_scale, scaled_depth
-from slbench.datasets.raster import depth_of_mesh
-from slbench.datasets.recipe import Recipe
-from slbench.errors import InputError
+from slbench.capture.capture import Capture
+from slbench.core.errors import InputError
+from slbench.datasets.export.bop import box, diameter
+from slbench.datasets.export.formats import export
+from slbench.datasets.export.frames import depth_scale, scaled_depth
+from slbench.datasets.export.raster import depth_of_mesh
+from slbench.datasets.read.recipe import Recipe
 from slbench.rig import Lens
 from slbench.rig.opencv import read_rig
-from slbench.truth import GroundTruth
+from slbench.scene.truth import GroundTruth
 
 RECIPE = Recipe("1,10", seed=3)
 

@@ -15,23 +15,24 @@ import pytest
 from dataset_specs import hashes, rows_of, write_spec
 from scenes_small import small, transport_of, truth_of
 
-from slbench.capture import Capture, noise_free_coordinates
-from slbench.datasets import index, tasks
-from slbench.datasets.cluster import LostError, local_cluster
-from slbench.datasets.engine import _running, check_request, make_dataset
-from slbench.datasets.make import environment, make_sample, row_of
-from slbench.datasets.manifest import Manifest
-from slbench.datasets.reader import open_dataset
-from slbench.datasets.sample import EXACT_BITS, rounded, unpacked, write_transport
-from slbench.datasets.sampling import draw
-from slbench.datasets.shards import END, digest, key, pack, unpack
-from slbench.datasets.spec import load
-from slbench.datasets.storage import Storage, is_temporary
-from slbench.datasets.verify import information, verify_dataset
-from slbench.errors import InputError
-from slbench.scan import floor_rms_px, scan
-from slbench.scenefile import load_scene
-from slbench.transport import LightTransport
+from slbench.capture.capture import Capture, noise_free_coordinates
+from slbench.core.errors import InputError
+from slbench.datasets.make import tasks
+from slbench.datasets.make.cluster import LostError, local_cluster
+from slbench.datasets.make.engine import _running, check_request, make_dataset
+from slbench.datasets.make.sample_maker import environment, make_sample, row_of
+from slbench.datasets.read.reader import open_dataset
+from slbench.datasets.spec.sampling import draw
+from slbench.datasets.spec.specification import load
+from slbench.datasets.store import index
+from slbench.datasets.store.manifest import Manifest
+from slbench.datasets.store.sample import EXACT_BITS, rounded, unpacked, write_transport
+from slbench.datasets.store.shards import END, digest, key, pack, unpack
+from slbench.datasets.store.storage import Storage, is_temporary
+from slbench.datasets.store.verify import information, verify_dataset
+from slbench.scene.file import load_scene
+from slbench.simulate.scan import floor_rms_px, scan
+from slbench.simulate.transport import LightTransport
 
 COUNT, SEED = 5, 3
 
@@ -371,7 +372,9 @@ class TestResume:
 
     def test_the_second_of_two_fresh_runs_is_refused(self, tiny, made, monkeypatch, cluster):
         # Both found the place empty before either had written to it.
-        monkeypatch.setattr("slbench.datasets.engine.check_request", lambda *args, **more: None)
+        monkeypatch.setattr(
+            "slbench.datasets.make.engine.check_request", lambda *args, **more: None
+        )
         with pytest.raises(InputError, match="another run has begun"):
             make_dataset(*tiny, made, COUNT, cluster, seed=SEED)
         assert not Path(made, "run.json").exists()

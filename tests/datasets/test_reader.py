@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 
 from slbench import datasets
-from slbench.capture import capture
-from slbench.datasets.storage import Storage
-from slbench.detector import Detector
-from slbench.errors import InputError
+from slbench.capture.capture import capture
+from slbench.core.errors import InputError
+from slbench.datasets.store.storage import Storage
+from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
-from slbench.scan import scan
-from slbench.scene import Exposure
+from slbench.scene.model import Exposure
+from slbench.simulate.scan import scan
 
 READY = [n for n in range(small.COUNT) if n != small.FAILED]
 
@@ -320,8 +320,8 @@ class TestDamage:
         ids=str,
     )
     def test_an_index_that_points_elsewhere(self, copy, change):
-        from slbench.datasets import index
-        from slbench.datasets.manifest import Manifest
+        from slbench.datasets.store import index
+        from slbench.datasets.store.manifest import Manifest
 
         storage = Storage(str(copy))
         rows = index.decode(storage.read(index.INDEX), "index")
@@ -454,7 +454,7 @@ class TestSplit:
         assert len({chosen(seed) for seed in range(20)}) > 1
 
     def test_fractions_are_kept_and_the_rest_left_out(self):
-        from slbench.datasets.split import by_object
+        from slbench.datasets.read.split import by_object
 
         objects = [f"{k % 137}" for k in range(1000)]
         parts = by_object(objects, {"train": 0.6, "test": 0.2}, seed=1)
@@ -464,7 +464,7 @@ class TestSplit:
         assert parts["train"] == sorted(parts["train"])
 
     def test_the_order_of_samples_does_not_matter(self):
-        from slbench.datasets.split import by_object
+        from slbench.datasets.read.split import by_object
 
         objects = [f"{k % 7}" for k in range(70)]
         one = by_object(objects, {"a": 0.5, "b": 0.5}, seed=4)

@@ -14,11 +14,11 @@ import psutil
 import pytest
 from dataset_specs import hashes, rows_of, write_spec
 
-from slbench.datasets.cluster import existing_cluster, local_cluster
-from slbench.datasets.engine import make_dataset
-from slbench.datasets.spec import load
-from slbench.datasets.verify import verify_dataset
-from slbench.errors import InputError
+from slbench.core.errors import InputError
+from slbench.datasets.make.cluster import existing_cluster, local_cluster
+from slbench.datasets.make.engine import make_dataset
+from slbench.datasets.spec.specification import load
+from slbench.datasets.store.verify import verify_dataset
 
 pytestmark = pytest.mark.slow
 
@@ -112,13 +112,13 @@ def test_threads_do_not_change_a_sample(threads, spec, reference, tmp_path):
     script = (
         "import os, sys\n"
         f"os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:{threads}])\n"
-        "from slbench.datasets.make import make_sample\n"
-        "from slbench.datasets.shards import digest, pack\n"
-        "from slbench.datasets.spec import load\n"
+        "from slbench.datasets.make.sample_maker import make_sample\n"
+        "from slbench.datasets.store.shards import digest, pack\n"
+        "from slbench.datasets.spec.specification import load\n"
         f"specification = load({str(spec)!r})\n"
         "for i in range(3):\n"
         f"    print(digest(pack(i, make_sample(*specification, {SEED}, i))))\n"
-        "from slbench.render.backend import threads\n"
+        "from slbench.simulate.render.backend.choice import threads\n"
         "print(threads())\n"
     )
     if not hasattr(os, "sched_setaffinity") or len(os.sched_getaffinity(0)) < threads:
@@ -300,7 +300,7 @@ def test_a_dead_scheduler_is_said_and_resumed(spec, reference, tmp_path):
 def test_a_worker_that_dies_of_a_sample_fails_that_sample_alone(spec, tmp_path):
     # Its workers are killed whenever they make sample 2.
     def deadly(run, sample):
-        from slbench.datasets import tasks
+        from slbench.datasets.make import tasks
 
         if sample == 2:
             os.kill(os.getpid(), signal.SIGKILL)
@@ -314,7 +314,7 @@ def test_a_worker_that_dies_of_a_sample_fails_that_sample_alone(spec, tmp_path):
             return getattr(self.inner, name)
 
         def submit(self, function, *arguments):
-            from slbench.datasets import tasks
+            from slbench.datasets.make import tasks
 
             return self.inner.submit(deadly if function is tasks.make else function, *arguments)
 

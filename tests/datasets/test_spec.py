@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from slbench.datasets.distributions import Distribution, column, find, stream
-from slbench.datasets.sampling import check, draw, outside_volume, place_scene, sample_seed
-from slbench.datasets.spec import load, shipped
-from slbench.errors import InputError
-from slbench.scenefile import load_scene
+from slbench.core.errors import InputError
+from slbench.datasets.spec.distributions import Distribution, column, find, stream
+from slbench.datasets.spec.sampling import check, draw, outside_volume, place_scene, sample_seed
+from slbench.datasets.spec.specification import load, shipped
+from slbench.scene.file import load_scene
 
 
 def drawn(count=4000, seed=0, **table):
@@ -163,7 +163,7 @@ class TestDraws:
 
 
 def resources_mesh() -> bytes:
-    from slbench import resources
+    from slbench.core import resources
 
     folder = resources.find("scenes", "datasets/mixed").parent
     return (folder / "meshes" / "bracket.ply").read_bytes()

@@ -12,9 +12,9 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch (the extra `torch`) is not installed")
 
 from slbench import datasets  # noqa: E402
-from slbench.datasets import torch_adaptor  # noqa: E402
-from slbench.datasets.torch_adaptor import CaptureDataset, CaptureStream, loader  # noqa: E402
-from slbench.errors import InputError  # noqa: E402
+from slbench.core.errors import InputError  # noqa: E402
+from slbench.datasets.read import torch_adaptor  # noqa: E402
+from slbench.datasets.read.torch_adaptor import CaptureDataset, CaptureStream, loader  # noqa: E402
 from slbench.patterns import PatternSequence  # noqa: E402
 
 
@@ -53,7 +53,7 @@ class TestItems:
         assert item["sample"] == sample.number
 
     def test_twelve_bits_fill_the_same_range(self, data):
-        from slbench.detector import Detector
+        from slbench.detector.emva1288 import Detector
 
         item = CaptureDataset(data, "white", detector=Detector(bit_depth=12))[0]
         assert 0.5 < float(item["frames"].max()) <= 1.0
@@ -82,7 +82,7 @@ class TestItems:
     def test_kept_samples_are_not_read_again(self, data, monkeypatch):
         captures = CaptureDataset(data, "1", keep=2)
         first = fingerprint([captures[0], captures[1]])
-        monkeypatch.setattr("slbench.datasets.storage.Storage.read_range", None)
+        monkeypatch.setattr("slbench.datasets.store.storage.Storage.read_range", None)
         assert fingerprint([captures[0], captures[1]]) == first
         with pytest.raises(TypeError):
             captures[2]

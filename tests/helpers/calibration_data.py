@@ -4,10 +4,10 @@ import functools
 
 import numpy as np
 
+from slbench.calibration.models.polynomials import polynomial_form
 from slbench.calibration.points import CalibrationPoints
-from slbench.calibration.polynomials import polynomial_form
 from slbench.rig import Rig
-from slbench.scenefile import load_scene
+from slbench.scene.file import load_scene
 
 
 @functools.cache

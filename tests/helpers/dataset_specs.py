@@ -5,8 +5,8 @@ from typing import Any
 
 import tomli_w
 
-from slbench.datasets import index
-from slbench.datasets.storage import Storage
+from slbench.datasets.store import index
+from slbench.datasets.store.storage import Storage
 
 #: Five objects in two shards are enough to show all that shards and order could spoil.
 TINY: dict[str, Any] = {

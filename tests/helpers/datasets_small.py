@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from slbench.datasets import index, sample, shards
-from slbench.datasets.manifest import MANIFEST, Manifest
-from slbench.datasets.storage import Storage
+from slbench.datasets.store import index, sample, shards
+from slbench.datasets.store.manifest import MANIFEST, Manifest
+from slbench.datasets.store.storage import Storage
 from slbench.rig.opencv import write_rig
-from slbench.scan import Scan, scan
-from slbench.scenefile import extended, load_scene
+from slbench.scene.file import extended, load_scene
+from slbench.simulate.scan import Scan, scan
 
 COUNT, PER_SHARD, FAILED = 9, 5, 4
 PATTERNS = "1,8@3"

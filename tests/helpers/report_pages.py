@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 
-from slbench.io import provenance
+from slbench.core.io import provenance
 from slbench.report import Cloud, Page, Picture, Table, Text
 
 #: Would run, were it taken for HTML anywhere.

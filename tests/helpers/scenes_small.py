@@ -17,14 +17,14 @@ import tomli_w
 
 from slbench import objects
 from slbench.cli import main
-from slbench.materials import Material
-from slbench.render.groundtruth import ground_truth
-from slbench.render.trace import trace
 from slbench.rig import Pose
-from slbench.scene import Scene, SceneObject
-from slbench.scenefile import load_scene
-from slbench.transport import LightTransport
-from slbench.truth import GroundTruth
+from slbench.scene.file import load_scene
+from slbench.scene.materials import Material
+from slbench.scene.model import Scene, SceneObject
+from slbench.scene.truth import GroundTruth
+from slbench.simulate.render.groundtruth import ground_truth
+from slbench.simulate.render.trace import trace
+from slbench.simulate.transport import LightTransport
 
 
 def small(

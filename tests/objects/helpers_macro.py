@@ -4,9 +4,10 @@ import manifold3d
 import numpy as np
 import pytest
 
-from slbench import io, objects, resources
-from slbench.errors import InputError
-from slbench.validation import validated
+from slbench import objects
+from slbench.core import io, resources
+from slbench.core.errors import InputError
+from slbench.core.validation import validated
 
 
 def fresh(kind, parameters, where="parameters"):

@@ -11,8 +11,9 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slbench import io, objects, resources
-from slbench.errors import InputError
+from slbench import objects
+from slbench.core import io, resources
+from slbench.core.errors import InputError
 from slbench.objects import Mesh, PlaneFeature
 
 SHIPPED = ["plane", "sphere", "step-block-5", "step-block-20"]
@@ -253,7 +254,7 @@ def test_refused_spheres(parameters, key):
 
 
 def test_a_form_error_beyond_reach_says_what_is_in_reach(monkeypatch):
-    monkeypatch.setattr("slbench.objects.sphere._FINEST", 3)
+    monkeypatch.setattr("slbench.objects.shapes.sphere._FINEST", 3)
     with pytest.raises(InputError, match=r"max_form_error_um: expected at least 2\.89 "):
         objects.build("sphere", {"radius_mm": 1.0, "max_form_error_um": 2.0})
     objects.build("sphere", {"radius_mm": 1.0, "max_form_error_um": 2.89})

@@ -10,11 +10,12 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slbench import io, objects, resources
-from slbench.errors import InputError
+from slbench import objects
+from slbench.core import io, resources
+from slbench.core.errors import InputError
 from slbench.objects import Mesh
-from slbench.objects.gearmeasure import fit_circle, section
-from slbench.objects.involute import Toothing, circle, points_on
+from slbench.objects.gears.gearmeasure import fit_circle, section
+from slbench.objects.gears.involute import Toothing, circle, points_on
 
 SPUR = {"module_mm": 1.5, "teeth": 24, "bore_diameter_mm": 8.0, "face_width_mm": 8.0}
 HUB = {"hub_diameter_mm": 14.0, "hub_height_mm": 4.0}

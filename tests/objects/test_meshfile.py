@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from slbench import objects
-from slbench.errors import InputError
-from slbench.objects.meshfile import MILLIMETRES
+from slbench.core.errors import InputError
+from slbench.objects.mesh.file import MILLIMETRES
 
 FORMATS = ["stl", "ply", "obj", "off", "glb", "stl_ascii"]
 

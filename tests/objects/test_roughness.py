@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from slbench.errors import InputError
-from slbench.objects import roughness
-from slbench.objects.roughness import mean_and_ra, rough_height
+from slbench.core.errors import InputError
+from slbench.objects.parts import roughness
+from slbench.objects.parts.roughness import mean_and_ra, rough_height
 
 LENGTH_UM = 10.0
 

@@ -9,9 +9,9 @@ from helpers_macro import check_refused, check_repeatable, check_shipped, check_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.objects import measure, surface_height
-from slbench.objects.heightfield import height_field
+from slbench.objects.mesh.heightfield import height_field
 
 # --- height field -------------------------------------------------------------------------
 

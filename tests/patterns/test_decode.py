@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.patterns import (
     Flat,
     Fringes,

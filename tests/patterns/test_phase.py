@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.patterns import unwrap_spatially
 
 TURN = 2.0 * np.pi

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.patterns import Flat, Fringes, GrayCode, PatternSequence, panel_response
 
 PANEL = (96, 60)

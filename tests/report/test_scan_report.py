@@ -9,14 +9,14 @@ from calibration_data import grid_points, rig_of
 from report_pages import Document, unpacked
 from scenes_small import check_refused, run_cli, small, write_scene
 
-from slbench.calibration.baselines import compare_methods
+from slbench.calibration.models.baselines import compare_methods
 from slbench.calibration.selection import select_models
 from slbench.report import Cloud, Picture, Table
-from slbench.report.calibrationpage import calibration_page
 from slbench.report.cloud import cloud_view
 from slbench.report.page import render_page
-from slbench.report.scanpage import overall_rows, scan_page
-from slbench.scan import scan
+from slbench.report.pages.calibration import calibration_page
+from slbench.report.pages.scan import overall_rows, scan_page
+from slbench.simulate.scan import scan
 
 
 @functools.cache

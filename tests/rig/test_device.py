@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.rig import Camera, Device, Lens, Pose, Projector
 from slbench.rig.distortion import distort, tilt_matrix, undistort
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.rig import Camera, DesignVariables, Lens, Projector, Rig
 from slbench.rig.opencv import read_rig, write_rig
 

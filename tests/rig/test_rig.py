@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.rig import Camera, DesignVariables, Lens, Projector, Rig, rotation_yx
 
 CAMERA = Camera(640, 480, (0.0074, 0.0074), Lens(16.0))

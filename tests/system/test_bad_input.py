@@ -14,7 +14,7 @@ import tomli_w
 import trimesh
 from scenes_small import SMALL_FILE, run_cli
 
-from slbench.io import write_png
+from slbench.core.io import write_png
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
 from slbench.rig.opencv import write_rig
@@ -368,7 +368,10 @@ def test_an_output_that_is_a_file_is_refused_and_kept(command, tmp_path):
 
 @pytest.mark.parametrize(
     ("command", "make", "work"),
-    [("scan", scene, "slbench.scan.scan"), ("decode", capture, "slbench.capture.Capture.load")],
+    [
+        ("scan", scene, "slbench.simulate.scan.scan"),
+        ("decode", capture, "slbench.capture.capture.Capture.load"),
+    ],
 )
 def test_an_output_that_is_a_file_is_refused_before_the_work(
     command, make, work, tmp_path, monkeypatch

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scenes_small import check_refused, run_cli
 
-from slbench.bench.outcome import Finding, Outcome
-from slbench.bench.views import draw_cloud, new_figure, picture
 from slbench.cli import bench
-from slbench.errors import InputError
+from slbench.core.errors import InputError
 from slbench.report import Cloud, Table
+from slbench.thesis.outcome import Finding, Outcome
+from slbench.thesis.pictures import draw_cloud, new_figure, picture
 
 
 def outcome_of(chapter, seed, preview):

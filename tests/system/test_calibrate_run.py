@@ -8,9 +8,9 @@ import pytest
 from calibration_data import rig_points
 from scenes_small import check_refused, run_cli
 
-from slbench.calibration.experiment import Experiment
-from slbench.calibration.model import CalibrationModel
+from slbench.calibration.models.model import CalibrationModel
 from slbench.calibration.points import CalibrationPoints
+from slbench.twin.experiment import Experiment
 
 FILES = {
     "points.csv",
@@ -70,7 +70,7 @@ def test_the_model_measures_another_capture(outcome, tmp_path):
     )
     assert done.status == 0, done.err
     assert json.loads(done.out)["points"] > 1000
-    from slbench.io import read_ply
+    from slbench.core.io import read_ply
 
     cloud = read_ply(tmp_path / "cloud.ply")[0]
     # The plate lies at z = 0: noise of one picture is some 0.14 um.
@@ -102,7 +102,7 @@ def stub(monkeypatch, n):
         position = np.arange(n) % 3
         return Experiment(rig_points(n, 0.05), position, positions_mm, np.zeros((n, 2)))
 
-    monkeypatch.setattr("slbench.calibration.experiment.run_experiment", found)
+    monkeypatch.setattr("slbench.twin.experiment.run_experiment", found)
 
 
 RUN = ("calibrate", "run", "ch8-grid", "--preview", "--z-steps", 4, "--y-steps", 1)

@@ -94,7 +94,7 @@ def test_baseline(folder):
 def test_bad_input_is_refused_before_anything_is_measured(
     folder, monkeypatch, changes, options, words
 ):
-    import slbench.bench.pools as pooling
+    import slbench.bench.claims.pools as pooling
 
     monkeypatch.setattr(pooling, "scan", lambda *a, **k: pytest.fail("a scan was made"))
     path = written(folder, TRUE | changes)
@@ -104,7 +104,7 @@ def test_bad_input_is_refused_before_anything_is_measured(
 
 
 def test_a_claim_without_a_value_is_shown_and_reported_and_not_kept(folder, monkeypatch):
-    import slbench.bench.pools as pooling
+    import slbench.bench.claims.pools as pooling
 
     monkeypatch.setattr(pooling, "score_values", lambda result: dict.fromkeys(NAMES, float("nan")))
     path, report = written(folder, TRUE), folder / "report.xml"
@@ -135,7 +135,7 @@ NAMES = ["smooth_rms_px.u"]
     ],
 )
 def test_files_that_hold_something_else_are_left_alone(folder, monkeypatch, options, words):
-    import slbench.bench.pools as pooling
+    import slbench.bench.claims.pools as pooling
 
     monkeypatch.setattr(pooling, "scan", lambda *a, **k: pytest.fail("a scan was made"))
     monkeypatch.chdir(folder)

@@ -11,10 +11,11 @@ import pytest
 import typer
 from scenes_small import run_cli, write_scene
 
-from slbench import __version__, resources
-from slbench.capture import Capture
+from slbench import __version__
+from slbench.capture.capture import Capture
 from slbench.cli import app
-from slbench.io import read_exr, read_json, read_ply, read_toml, write_png, write_toml
+from slbench.core import resources
+from slbench.core.io import read_exr, read_json, read_ply, read_toml, write_png, write_toml
 from slbench.rig.opencv import read_rig
 
 FILES = {
@@ -32,7 +33,9 @@ def ok(*arguments):
 @pytest.fixture
 def no_picture(monkeypatch):
     """Do not draw the summary, which takes longer than a small scan."""
-    monkeypatch.setattr("slbench.scanfolder.summary", lambda _, path: path.write_bytes(b"picture"))
+    monkeypatch.setattr(
+        "slbench.simulate.folder.summary", lambda _, path: path.write_bytes(b"picture")
+    )
 
 
 @pytest.fixture(scope="module")

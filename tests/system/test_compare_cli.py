@@ -6,8 +6,8 @@ import cv2
 import pytest
 from scenes_small import check_refused, run_cli, write_scene
 
-from slbench.bench import compare as module
-from slbench.io import read_json
+from slbench.bench.compare import compare as module
+from slbench.core.io import read_json
 
 
 @pytest.fixture(scope="module")

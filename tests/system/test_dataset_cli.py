@@ -15,9 +15,10 @@ import pytest
 from dataset_specs import hashes, rows_of, write_spec
 from scenes_small import check_refused, run_cli
 
-from slbench.datasets import cluster, engine, make, tasks
-from slbench.datasets.card import histograms
-from slbench.datasets.make import make_sample
+from slbench.datasets.make import cluster, engine, tasks
+from slbench.datasets.make import sample_maker as make
+from slbench.datasets.make.sample_maker import make_sample
+from slbench.report.pages.dataset import histograms
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from scenes_small import check_refused, run_cli
 
-from slbench import resources
-from slbench.design.constraints import feasible_sample, margins
-from slbench.design.evaluate import evaluate
-from slbench.design.front import Front
-from slbench.design.hardware import VARIABLES, load_hardware, read_configurations
-from slbench.scenefile import load_scene
+from slbench.core import resources
+from slbench.design.rig.constraints import feasible_sample, margins
+from slbench.design.rig.evaluate import evaluate
+from slbench.design.rig.hardware import VARIABLES, load_hardware, read_configurations
+from slbench.design.search.front import Front
+from slbench.scene.file import load_scene
 
 NAME = "hardware/macro-ch6"
 TABLE_4 = resources.find("scenes", NAME).parent / "table4.csv"
@@ -360,9 +360,9 @@ def unexpected(*args, **kwargs):
 
 @pytest.mark.parametrize("command", ["rig", "verify"])
 def test_an_output_that_is_a_file_is_refused_at_once_and_kept(command, tmp_path, monkeypatch):
-    monkeypatch.setattr("slbench.design.optimise.optimise", unexpected)
-    monkeypatch.setattr("slbench.design.constraints.feasible_sample", unexpected)
-    monkeypatch.setattr("slbench.design.verify.verify", unexpected)
+    monkeypatch.setattr("slbench.design.rig.optimise.optimise", unexpected)
+    monkeypatch.setattr("slbench.design.rig.constraints.feasible_sample", unexpected)
+    monkeypatch.setattr("slbench.design.rig.verify.verify", unexpected)
     out = tmp_path / "out"
     out.write_text("mine")
     check_refused(run_cli("design", command, NAME, "--out", out), "--out", "a folder", "a file")

@@ -8,9 +8,9 @@ import pytest
 from focus_stacks import psnr_db, slanted_plane
 from scenes_small import check_refused, run_cli
 
-from slbench.capture import Capture
-from slbench.focusstack import FocusStack
-from slbench.io import read_colour, read_exr, read_grey, write_png
+from slbench.capture.capture import Capture
+from slbench.capture.stack import FocusStack
+from slbench.core.io import read_colour, read_exr, read_grey, write_png
 from slbench.patterns import Flat, Fringes, PatternSequence
 
 PLANE = slanted_plane(9, (72, 96))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scenes_small import check_refused, run_cli
 
-from slbench.design.noise import PhaseNoise
+from slbench.design.fringes.noise import PhaseNoise
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from slbench import objects, resources
+from slbench import objects
 from slbench.cli import main
-from slbench.figures import _round_length
+from slbench.core import resources
+from slbench.report.plots.draw import _round_length
 
 
 @pytest.fixture

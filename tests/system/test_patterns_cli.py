@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scenes_small import check_refused, run_cli
 
-from slbench.capture import Capture
-from slbench.design.noise import PhaseNoise
+from slbench.capture.capture import Capture
+from slbench.design.fringes.noise import PhaseNoise
 from slbench.patterns import PatternSequence
 
 PLAIN = ("--width-px", 400, "--noise-rad", 0.036)

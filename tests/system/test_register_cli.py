@@ -7,7 +7,7 @@ import pytest
 from scenes_small import check_refused, run_cli
 from stage_views import stage_views
 
-from slbench.io import read_json, read_ply, write_ply, write_table
+from slbench.core.io import read_json, read_ply, write_ply, write_table
 
 VIEWS = stage_views("rough", 3, seed=7, count=20_000)
 

@@ -10,21 +10,21 @@ from scenes_small import at, scene_of, small, transport_of, truth_of
 from scipy.spatial import ConvexHull
 
 from slbench import objects
-from slbench.capture import capture, noise_free_coordinates
-from slbench.detector import Detector
-from slbench.errors import InputError
-from slbench.io import read_json, read_ply
-from slbench.materials import Material
+from slbench.capture.capture import capture, noise_free_coordinates
+from slbench.core.errors import InputError
+from slbench.core.io import read_json, read_ply
+from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact, Mesh
 from slbench.patterns import PatternSequence
-from slbench.render.trace import trace
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
-from slbench.scan import floor_rms_px, scan
-from slbench.scanfolder import write_scan
-from slbench.scene import Exposure, Light, Scene, SceneObject
-from slbench.scenefile import load_scene
-from slbench.score import point_errors
-from slbench.truth import GroundTruth, Status
+from slbench.scene.file import load_scene
+from slbench.scene.materials import Material
+from slbench.scene.model import Exposure, Light, Scene, SceneObject
+from slbench.scene.truth import GroundTruth, Status
+from slbench.score.points import point_errors
+from slbench.simulate.folder import write_scan
+from slbench.simulate.render.trace import trace
+from slbench.simulate.scan import floor_rms_px, scan
 
 
 @functools.cache
@@ -381,7 +381,9 @@ def test_samples_override_the_scene():
 
 def test_files_hold_the_result(tmp_path, monkeypatch):
     # The picture takes longer than the scan; test_cli looks at it.
-    monkeypatch.setattr("slbench.scanfolder.summary", lambda _, path: path.write_bytes(b"picture"))
+    monkeypatch.setattr(
+        "slbench.simulate.folder.summary", lambda _, path: path.write_bytes(b"picture")
+    )
     result = scanned("step-block")
     folder = tmp_path / "deep" / "out"
     written = write_scan(result, folder)
@@ -409,14 +411,16 @@ def test_files_hold_the_result(tmp_path, monkeypatch):
 
 def test_a_failing_write_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
     result = scanned("plane")
-    monkeypatch.setattr("slbench.scanfolder.summary", lambda _, path: path.write_bytes(b"picture"))
+    monkeypatch.setattr(
+        "slbench.simulate.folder.summary", lambda _, path: path.write_bytes(b"picture")
+    )
     write_scan(result, tmp_path / "out")
     before = (tmp_path / "out" / "cloud.ply").read_bytes()
 
     def fail(*_):
         raise InputError("figure", "paper", "none")
 
-    monkeypatch.setattr("slbench.scanfolder.summary", fail)
+    monkeypatch.setattr("slbench.simulate.folder.summary", fail)
     for name in ("out", "new"):
         with pytest.raises(InputError):
             write_scan(scanned("plane", noise=False), tmp_path / name)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from slbench import resources
-from slbench.errors import InputError
-from slbench.scan import scan
-from slbench.scenefile import load_scene
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.scene.file import load_scene
+from slbench.simulate.scan import scan
 
 SCENES = resources.names("scenes")
 #: The scenes of the thesis's experiments (issue: macro ch. 6 and 7, micro ch. 8).

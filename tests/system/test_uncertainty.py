@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scenes_small import small, transport_of, truth_of
 
-from slbench.capture import capture, noise_free_coordinates
-from slbench.detector import Detector
-from slbench.reconstruct import triangulate
-from slbench.scan import floor_rms_px
+from slbench.capture.capture import capture, noise_free_coordinates
+from slbench.cloud.triangulation import triangulate
+from slbench.detector.emva1288 import Detector
+from slbench.simulate.scan import floor_rms_px
 
 REPEATS = 24
 CASES = [("plane", "u", 3), ("plane", "v", 5), ("plane", "uv", 3), ("step-block", "u", 4)]

@@ -1,0 +1,1 @@
+"""Claims about measurements, checked with intervals."""

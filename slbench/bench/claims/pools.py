@@ -1,0 +1,214 @@
+"""Repeated measurements that claims share.
+
+Every repeat of a scan is a scan of its own: light traced with its own samples, frames with their
+own noise, so that repeats are independent and their interval honest.  The detector keeps its
+fixed pattern: a claim is about this detector, not about all of its make.  Claims with the same
+scene and settings read their quantities off the same scans, however many claims there are, and
+repeat i has the same seed in every pool: quantities of different settings are compared pair by
+pair (common random numbers), which is valid and sharper than comparing two independent means.
+
+A repeat of a comparison is a whole comparison (:mod:`slbench.bench.compare.compare`) of the sets
+that the claim names, ``scans`` scans of each; claims about the same sets share it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.bench.claims.file import Claim, Settings
+from slbench.bench.claims.quantities import check_set, pattern_set, resolve, score_values, set_value
+from slbench.bench.claims.speed import speed_ratios
+from slbench.bench.compare.compare import NothingToCompare, compare, own_shifts
+from slbench.bench.compare.comparison import SetResult
+from slbench.bench.compare.sets import pattern_sets
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.core.io import plain
+from slbench.scene.file import load_scene
+from slbench.scene.model import Scene, SceneObject
+from slbench.simulate.repeats import tagged_seed
+from slbench.simulate.scan import scan
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+_MESH = ("vertices", "faces")
+
+
+class Pools:
+    """Measurements by settings, made when they are asked for.
+
+    Parameters
+    ----------
+    seed : int
+        Of all light and noise.
+    on_progress : callable, optional
+        Called with the name of the scene and the finished fraction of its repeats.
+    """
+
+    def __init__(
+        self, seed: int = 0, on_progress: Callable[[str, float], None] | None = None
+    ) -> None:
+        self.seed = seed
+        self._on_progress = on_progress
+        self._scenes: dict[Settings, Scene] = {}
+        self._rows: dict[Hashable, list[Row]] = {}
+
+    def scene(self, settings: Settings) -> Scene:
+        """Return the scene with its settings, loaded once."""
+        if settings not in self._scenes:
+            self._scenes[settings] = _load(settings)
+        return self._scenes[settings]
+
+    def check(self, claim: Claim) -> None:
+        """Check that the claim's scenes can be loaded and have its quantities; nothing is measured.
+
+        Raises
+        ------
+        InputError
+            Naming the claim.
+        """
+        where = f'claim "{claim.name}"'
+        try:
+            for settings in {claim.settings, claim.versus}:
+                self.scene(settings)
+            if claim.family == "set":
+                scene = self.scene(claim.settings)
+                shifts = claim.settings.shifts or own_shifts(scene)
+                pattern_sets(claim.sets, scene, shifts=shifts, equal=claim.equal)
+        except InputError as error:
+            raise InputError(f"{where}: {error.where}", error.expected, error.got) from None
+        for quantity in claim.quantities if claim.family == "set" else ():
+            check_set(quantity, self.scene(claim.settings), f"{where}: quantity")
+        if claim.family == "score":
+            resolve(claim.quantity, self.scene(claim.settings), f"{where}: quantity")
+            for quantity in claim.quantities[1:]:
+                resolve(quantity, self.scene(claim.versus), f"{where}: bound")
+
+    def fingerprint(self, settings: Settings) -> str:
+        """Return a digest of a scene: of its file and of what that refers to.
+
+        The file is merged into what it extends.  Objects count by kind and parameters wherever
+        these are written, and those of mesh files by their vertices and faces.
+        """
+        scene = self.scene(settings)
+        content = {"file": scene.specification, "objects": [_made_of(i) for i in scene.objects]}
+        rig = scene.specification.get("rig", {}).get("file")
+        if rig is not None:
+            content["rig"] = _digest(resources.inside(settings.scene.parent, rig).read_bytes())
+        return _digest(json.dumps(plain(content, keep_non_finite=True), sort_keys=True).encode())
+
+    def measure(self, claim: Claim) -> tuple[Array, list[Array]]:
+        """Measure a claim's quantity and those of its limits.
+
+        Returns
+        -------
+        values : (repeats,) float
+            NaN where a scan did not give the quantity.
+        others : list of (repeats,) float
+            One a limit; NaN where the limit is a number.
+        """
+        values = self._values(claim, claim.quantity, claim.settings)
+        others = [
+            np.full(len(values), np.nan)
+            if limit.quantity is None
+            else self._values(claim, limit.quantity, claim.versus)
+            for limit in claim.limits
+        ]
+        return values, others
+
+    def _values(self, claim: Claim, quantity: str, settings: Settings) -> Array:
+        scene = self.scene(settings)
+        if claim.family == "set":
+            name, field = pattern_set(quantity, claim.name)
+            rows = self._comparisons(claim, scene)
+            return np.array([set_value(row[name], field) if row else np.nan for row in rows])
+        if claim.family == "speed":
+            rows = self._repeats(
+                ("speed", settings),
+                claim.repeats,
+                scene.name,
+                lambda seed: speed_ratios(scene, seed),
+            )
+            return np.array([row[quantity.removeprefix("speed.")] for row in rows])
+        names = resolve(quantity, scene, f'claim "{claim.name}"')
+        rows = self._repeats(
+            settings,
+            claim.repeats,
+            scene.name,
+            lambda seed: score_values(scan(scene, seed=seed, noise=settings.noise)),
+        )
+        # The largest of a family of features; NaN if one of them was not measured.
+        return np.array([[row[name] for name in names] for row in rows]).max(axis=1)
+
+    def _comparisons(self, claim: Claim, scene: Scene) -> list[dict[str, SetResult]]:
+        """Return the sets' results, repeat by repeat; none where nothing can be compared."""
+        settings = claim.settings
+
+        def one(seed: int) -> dict[str, SetResult]:
+            try:
+                found = compare(
+                    scene,
+                    claim.sets,
+                    repeats=claim.scans,
+                    equal=claim.equal,
+                    seed=seed,
+                    shifts=settings.shifts or own_shifts(scene),
+                )
+            except NothingToCompare:
+                return {}
+            # Without the maps, which are large.
+            none = np.empty((0, 0))
+            return {
+                result.name: replace(result, std_mm=none, std_z_mm=none, error_mm=none)
+                for result in found.sets
+            }
+
+        key = ("set", settings, claim.sets, claim.scans, claim.equal)
+        return self._repeats(key, claim.repeats, scene.name, one)
+
+    def _repeats(
+        self, key: Hashable, count: int, name: str, measure: Callable[[int], Row]
+    ) -> list[Row]:
+        """Return `count` repeats of a pool, those that are missing made now."""
+        rows = self._rows.setdefault(key, [])
+        while len(rows) < count:
+            rows.append(measure(tagged_seed(self.seed, len(rows))))
+            if self._on_progress:
+                self._on_progress(name, len(rows) / count)
+        return rows[:count]
+
+
+def _made_of(item: SceneObject) -> dict[str, Any]:
+    """Return what an artefact is built from; wherever its files stand."""
+    artefact = item.artefact
+    values = {key: value for key, value in artefact.parameters.items() if key != "path"}
+    if artefact.kind == "mesh":
+        values |= {part: _digest(getattr(artefact.mesh, part).tobytes()) for part in _MESH}
+    return {"kind": artefact.kind, "parameters": values}
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
+def _load(settings: Settings) -> Scene:
+    """Load a scene and change what the settings change."""
+    scene = load_scene(settings.scene, preview=settings.preview)
+    if any(value is not None for value in (settings.patterns, settings.shifts, settings.axes)):
+        own: dict[str, Any] = {"sequence": "1,10,50", "shifts": 3, "axes": "u"}
+        own |= scene.specification.get("patterns", {})
+        text = settings.patterns or own["sequence"]
+        if settings.shifts is not None and "@" in text:
+            raise InputError("shifts", "no shifts (@) in the patterns too", text)
+        scene = scene.with_patterns(
+            text, settings.shifts or own["shifts"], settings.axes or own["axes"]
+        )
+    return scene if settings.samples is None else replace(scene, samples=settings.samples)

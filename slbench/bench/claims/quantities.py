@@ -1,0 +1,303 @@
+"""The names of what can be claimed, and how to read them off a scan.
+
+A quantity of a scan is a number of its score: ``rms_mm``, ``smooth_rms_px.u``,
+``step[2.5].error_mm``.  Features are chosen by nominal size (``step[2.5]``), by name
+(``plane[reference]``) or by object and either (``sphere[ball-bar/left]``); a second object of
+one name is ``name#2``; ``[*]`` is the largest value over all features of a kind.  A quantity of a
+comparison names its pattern set: ``set[1,10,50].std_median_mm``.  ``docs/claims.md`` lists all.
+
+*Errors have a sign only where they are called deviations.*  ``deviation_mm`` is measured minus
+nominal; ``error_mm`` is its magnitude, scan by scan, so that an upper bound on it means what it
+says: random errors do not cancel in its mean.
+"""
+
+from __future__ import annotations
+
+import difflib
+import itertools
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from slbench.bench.compare.comparison import SetResult
+from slbench.core.errors import InputError
+from slbench.objects import REFERENCE
+from slbench.scene.model import Scene
+from slbench.score.features import PlaneScore, SpacingScore, SphereScore, StepScore
+from slbench.score.points import Score
+from slbench.simulate.fusionscore import FusionScore, Sharpness
+from slbench.simulate.scan import Scan
+
+#: What :mod:`slbench.bench.claims.speed` measures.
+SPEED_FIELDS = ("patterns36_per_render", "pattern_per_render")
+
+_NUMBERS = ("int", "float")
+#: What a comparison says of each pattern set, and of each step of the scene.
+SET_FIELDS = tuple(f.name for f in fields(SetResult) if f.type in _NUMBERS)
+_SET_STEP_FIELDS = ("measured_mm", "deviation_mm", "std_mm")
+_SCALARS = tuple(f.name for f in fields(Score) if f.type in _NUMBERS)
+_BY_AXIS = ("smooth_bias_px", "smooth_rms_px")
+_SIZES = ("nominal_mm", "nominal_radius_mm")
+_KINDS: dict[str, type] = {
+    "step": StepScore,
+    "plane": PlaneScore,
+    "sphere": SphereScore,
+    "spacing": SpacingScore,
+}
+_DEVIATIONS = {
+    "step": ("error_mm", "deviation_mm"),
+    "plane": (),
+    "sphere": ("radius_error_mm", "radius_deviation_mm"),
+    "spacing": ("error_mm", "deviation_mm"),
+}
+#: Of each kind of feature: the numbers of its score, and how far it is from nominal.
+FEATURE_FIELDS: dict[str, tuple[str, ...]] = {
+    kind: (
+        *(f.name for f in fields(score) if f.type in _NUMBERS and f.name not in _SIZES),
+        *_DEVIATIONS[kind],
+    )
+    for kind, score in _KINDS.items()
+}
+#: Those of which the largest is the worst: what ``[*]`` may be asked for.
+_LARGEST = ("error_mm", "flatness_mm", "form_mm", "std_mm", "uncertainty_mm")
+_FUSED = tuple(f.name for f in fields(FusionScore) if f.name != "finest")
+_SHARPNESS = tuple(f.name for f in fields(Sharpness))
+
+_FEATURE = re.compile(r"(\w+)\[([^\[\]]+)\]\.(\w+)")
+_SET = re.compile(r"set\[([^\[\]]+)\]\.(\w+|step\[([^\[\]]+)\]\.(\w+))")
+_UNITS = {"mm": "mm", "px": "px", "s": "s", "seconds": "s", "rms": "rad"}
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A feature that a scene has: its kind, the label of its object, its name and its size, mm."""
+
+    kind: str
+    owner: str
+    name: str
+    nominal_mm: float | None
+
+    @property
+    def label(self) -> str:
+        """Object and name, which no other feature of the kind has together."""
+        return f"{self.owner}/{self.name}"
+
+    def matches(self, selector: str) -> bool:
+        """Tell whether a selector means this feature."""
+        owner, slash, last = selector.rpartition("/")
+        if selector in ("*", self.label, self.name):
+            return True
+        if slash and owner != self.owner:
+            return False
+        try:
+            size = float(last)
+        except ValueError:
+            return bool(slash) and last == self.name
+        return self.nominal_mm is not None and abs(size - self.nominal_mm) < 1e-9
+
+
+def family(text: str) -> str:
+    """Return what measures a quantity: ``"score"``, ``"set"`` or ``"speed"``."""
+    head = re.split(r"[.\[]", text, maxsplit=1)[0].strip()
+    return head if head in ("set", "speed") else "score"
+
+
+def unit(text: str) -> str:
+    """Return the unit that a quantity's name carries, ``""`` for a pure number."""
+    words = text.rpartition("]")[2].split(".")
+    last = words[-2] if words[-1] in ("u", "v") and len(words) > 1 else words[-1]
+    return "" if last == "intensity_rms" else _UNITS.get(last.rpartition("_")[2], "")
+
+
+def pattern_set(text: str, where: str) -> tuple[str, str]:
+    """Split a quantity of a comparison into the text of its pattern set and its field.
+
+    Raises
+    ------
+    InputError
+        If it is not of the form ``set[1,10,50].rms_mm`` with a field of :data:`SET_FIELDS`.
+    """
+    match = _SET.fullmatch(text)
+    if match is None:
+        raise InputError(where, "a quantity such as set[1,10,50].std_median_mm", repr(text))
+    patterns, name = match[1].replace(" ", ""), match[2]
+    steps = [f"step[{match[3] or '2.5'}].{field}" for field in _SET_STEP_FIELDS]
+    if name not in SET_FIELDS and name not in steps:
+        raise unknown(where, text, [f"set[{patterns}].{k}" for k in (*SET_FIELDS, *steps)])
+    return patterns, name
+
+
+def set_value(result: SetResult, name: str) -> float:
+    """Return a field of a pattern set, by the name that :func:`pattern_set` gave.
+
+    A step is chosen by its nominal height; NaN unless it was measured.
+    """
+    if name in SET_FIELDS:
+        return float(getattr(result, name))
+    height = float(name[len("step[") : name.index("]")])
+    steps = [step for step in result.steps if abs(step.nominal_mm - height) < 1e-9]
+    if len(steps) != 1:
+        return float("nan")
+    values = steps[0]._asdict() | {"deviation_mm": steps[0].measured_mm - steps[0].nominal_mm}
+    return float(values[name.rpartition(".")[2]])
+
+
+def check_set(text: str, scene: Scene, where: str) -> None:
+    """Check that a quantity of a comparison is one of this scene.
+
+    Raises
+    ------
+    InputError
+        For a step that the scene does not have, or not once.
+    """
+    _, name = pattern_set(text, where)
+    if name in SET_FIELDS:
+        return
+    selector = name[len("step[") : name.index("]")]
+    heights = [f.nominal_mm for f in features_of(scene) if f.kind == "step"]
+    try:
+        height = float(selector)
+    except ValueError:
+        height = float("nan")
+    given = [h for h in heights if h is not None and abs(h - height) < 1e-9]
+    if len(given) != 1:
+        known = ", ".join(f"{h:.12g}" for h in heights if h is not None) or "none"
+        raise InputError(where, f"the height of one step of the scene ({known})", repr(text))
+
+
+def unknown(where: str, text: str, known: Iterable[str]) -> InputError:
+    """Return the error for a name that is not known, with those that are nearest to it."""
+    names = list(known)
+    near = difflib.get_close_matches(text, names, n=4, cutoff=0.5) or names[:8]
+    return InputError(where, f"a quantity that there is, such as {', '.join(near)}", repr(text))
+
+
+def features_of(scene: Scene) -> tuple[Feature, ...]:
+    """Return the features that the artefacts of a scene have, measured or not."""
+    found: list[Feature] = []
+    seen: dict[str, int] = {}
+    for item in scene.objects:
+        name = item.artefact.name
+        seen[name] = seen.get(name, 0) + 1
+        owner = name if seen[name] == 1 else f"{name}#{seen[name]}"
+        faces = item.artefact.planes
+        found += [Feature("plane", owner, face.name, None) for face in faces]
+        if any(face.name == REFERENCE for face in faces):
+            found += [
+                Feature("step", owner, face.name, face.height_mm)
+                for face in faces
+                if face.name != REFERENCE
+            ]
+        balls = item.artefact.spheres
+        found += [Feature("sphere", owner, ball.name, ball.radius_mm) for ball in balls]
+        for a, b in itertools.combinations(balls, 2):
+            distance = float(np.linalg.norm(np.subtract(a.centre_mm, b.centre_mm)))
+            found.append(Feature("spacing", owner, f"{a.name} to {b.name}", distance))
+    return tuple(found)
+
+
+def quantities_of(scene: Scene) -> list[str]:
+    """Return every quantity that a scan of the scene has, each by its shortest clear name."""
+    names = [*_SCALARS, "floor_rms_px"]
+    names += [f"{name}.{axis}" for name in _BY_AXIS for axis in scene.sequence.axes]
+    if scene.focus is not None:
+        names += [f"fusion.{part}.{name}" for part in _FUSED for name in _SHARPNESS]
+    features = features_of(scene)
+    for feature in features:
+        alike = [f for f in features if f.kind == feature.kind]
+        candidates = [feature.name, feature.label]
+        if feature.nominal_mm is not None:
+            candidates.insert(0, f"{feature.nominal_mm:g}")
+        selector = next(
+            (s for s in candidates if [f for f in alike if f.matches(s)] == [feature]),
+            feature.label,
+        )
+        names += [f"{feature.kind}[{selector}].{name}" for name in FEATURE_FIELDS[feature.kind]]
+    return names
+
+
+def resolve(text: str, scene: Scene, where: str) -> tuple[str, ...]:
+    """Return the canonical names that a quantity stands for; more than one for ``[*]``.
+
+    Parameters
+    ----------
+    text : str
+        A quantity of a scan.
+    scene : Scene
+    where : str
+        What to call it in an error.
+
+    Raises
+    ------
+    InputError
+        For a quantity that a scan of the scene does not have, with the nearest ones, and for a
+        selector that several features answer to.
+    """
+    known = quantities_of(scene)
+    if text in known and "[" not in text:
+        return (text,)
+    match = _FEATURE.fullmatch(text)
+    if match is None or match[1] not in _KINDS:
+        raise unknown(where, text, known)
+    kind, selector, name = match.groups()
+    chosen = [f for f in features_of(scene) if f.kind == kind and f.matches(selector.strip())]
+    if not chosen or name not in FEATURE_FIELDS[kind]:
+        raise unknown(where, text, known)
+    if selector == "*":
+        if not name.endswith(_LARGEST):
+            raise InputError(where, f"one of {', '.join(_LARGEST)} with [*]", repr(text))
+    elif len(chosen) > 1:
+        labels = ", ".join(f"{kind}[{f.label}]" for f in chosen)
+        raise InputError(where, f"one feature: {labels}, or {kind}[*]", repr(text))
+    return tuple(f"{kind}[{f.label}].{name}" for f in chosen)
+
+
+def score_values(scan: Scan) -> dict[str, float]:
+    """Return all numbers of a scan's score by canonical name; NaN for what was not measured."""
+    score = scan.score
+    values = {name: float(getattr(score, name)) for name in _SCALARS}
+    values["floor_rms_px"] = scan.floor_rms_px
+    for name in _BY_AXIS:
+        values |= {f"{name}.{axis}": v for axis, v in getattr(score, name).items()}
+    if scan.fusion is not None:
+        for part in _FUSED:
+            sharpness = vars(getattr(scan.fusion, part))
+            values |= {f"fusion.{part}.{name}": float(v) for name, v in sharpness.items()}
+    found: dict[str, Sequence[Any]] = {
+        "step": score.steps,
+        "plane": score.planes,
+        "sphere": score.spheres,
+        "spacing": score.spacings,
+    }
+    features = features_of(scan.scene)
+    for feature in features:
+        same = [f for f in features if _plain(f) == _plain(feature)]
+        items = [i for i in found[feature.kind] if (i.object, i.name) == _plain(feature)[1:]]
+        numbers: Mapping[str, float] = {}
+        # Of several objects of one name, a score does not say which one it missed.
+        if len(items) == len(same):
+            numbers = _feature_values(items[same.index(feature)])
+        for name in FEATURE_FIELDS[feature.kind]:
+            key = f"{feature.kind}[{feature.label}].{name}"
+            values[key] = float(numbers.get(name, float("nan")))
+    return values
+
+
+def _plain(feature: Feature) -> tuple[str, str, str]:
+    """Kind, object's name without its number, and name."""
+    return feature.kind, feature.owner.partition("#")[0], feature.name
+
+
+def _feature_values(item: Any) -> dict[str, float]:
+    """Return the numbers of a feature's score, and how far it is from nominal."""
+    values = {k: v for k, v in vars(item).items() if isinstance(v, int | float)}
+    if isinstance(item, SphereScore):
+        off = item.radius_mm - item.nominal_radius_mm
+        return values | {"radius_error_mm": abs(off), "radius_deviation_mm": off}
+    if isinstance(item, StepScore | SpacingScore):
+        off = item.measured_mm - item.nominal_mm
+        return values | {"error_mm": abs(off), "deviation_mm": off}
+    return values

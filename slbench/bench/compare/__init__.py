@@ -1,0 +1,1 @@
+"""Pattern sets compared on one scene."""

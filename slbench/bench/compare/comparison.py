@@ -1,0 +1,233 @@
+"""What a comparison of pattern sets found, as immutable values."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.bench.compare.sets import Equal
+from slbench.bench.compare.tiles import Pair
+from slbench.core.errors import InputError
+from slbench.patterns import PatternSequence
+from slbench.report import Cloud
+
+Array = NDArray[np.float64]
+
+
+class Step(NamedTuple):
+    """A step of the scene, measured in every repeat.
+
+    ``measured_mm`` is the mean over the repeats, ``std_mm`` their standard deviation.
+    """
+
+    nominal_mm: float
+    measured_mm: float
+    std_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class SetResult:
+    """Repeated scans with one pattern set.
+
+    All but ``order_error_rate`` and ``completeness`` is for the pixels of the comparison, the
+    same for all sets.
+
+    Parameters
+    ----------
+    name : str
+        As the user wrote it.
+    sequence : PatternSequence
+        As it was projected.
+    frames : int
+        Of one scan.
+    exposure_s : float
+        Exposure time of a frame.
+    std_median_mm, std_ci95_mm : float, (float, float)
+        Standard deviation of a point over the repeats, sqrt(var x + var y + var z): median over
+        the pixels, and its 95 % interval.
+    std_z_median_mm, std_z_ci95_mm : float, (float, float)
+        The same of the height alone.
+    predicted_mm : float
+        Median of the standard deviation that the decoder predicted.
+    std_over_predicted : float
+        RMS over the pixels of the ratio of both: 1 where the detector's noise is all there is.
+    error_median_mm, error_ci95_mm : float, (float, float)
+        RMS distance of a point from the truth over the repeats: median over the pixels.
+    bias_mm : float
+        Mean height error.
+    rms_mm : float
+        RMS distance from the truth, over all repeats and pixels.
+    order_error_rate : float
+        Share of wrong fringe orders among the measured pixels of all repeats on smooth lit
+        surface (:meth:`slbench.bench.compare.sets.PatternSet.tolerance_px`).
+    completeness : float
+        Share of lit pixels that were measured, mean over the repeats.
+    seconds : float
+        To decode and triangulate one scan, median over the repeats.
+    steps : tuple of Step
+        Step features of the scene, where it has any.
+    std_mm, std_z_mm, error_mm : (V, U) float
+        Standard deviation, that of the height, and mean height error; NaN where a pixel is not
+        in the comparison.
+    note : str
+        What a reader must know of this set.
+    """
+
+    name: str
+    sequence: PatternSequence
+    frames: int
+    exposure_s: float
+    std_median_mm: float
+    std_ci95_mm: tuple[float, float]
+    std_z_median_mm: float
+    std_z_ci95_mm: tuple[float, float]
+    predicted_mm: float
+    std_over_predicted: float
+    error_median_mm: float
+    error_ci95_mm: tuple[float, float]
+    bias_mm: float
+    rms_mm: float
+    order_error_rate: float
+    completeness: float
+    seconds: float
+    steps: tuple[Step, ...]
+    std_mm: Array
+    std_z_mm: Array
+    error_mm: Array
+    note: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON, without the maps."""
+        return {
+            "name": self.name,
+            "patterns": self.sequence.name,
+            "frames": self.frames,
+            "exposure_ms": 1e3 * self.exposure_s,
+            "std_median_mm": self.std_median_mm,
+            "std_ci95_mm": list(self.std_ci95_mm),
+            "std_z_median_mm": self.std_z_median_mm,
+            "std_z_ci95_mm": list(self.std_z_ci95_mm),
+            "predicted_mm": self.predicted_mm,
+            "std_over_predicted": self.std_over_predicted,
+            "error_median_mm": self.error_median_mm,
+            "error_ci95_mm": list(self.error_ci95_mm),
+            "bias_mm": self.bias_mm,
+            "rms_mm": self.rms_mm,
+            "order_error_rate": self.order_error_rate,
+            "completeness": self.completeness,
+            "seconds": self.seconds,
+            "steps": [step._asdict() for step in self.steps],
+            "note": self.note,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Pattern sets beside one another.
+
+    Parameters
+    ----------
+    scene : str
+    repeats, seed : int
+    equal : {"frames", "photons"} or None
+    sets : tuple of SetResult
+        In the order given.
+    ranking : tuple of str
+        By repeatability, ``std_median_mm``: the least first.
+    pairs : tuple of Pair
+        Every pair, by ``std_median_mm``.
+    error_ranking, error_pairs
+        The same by ``error_median_mm``, the distance from the truth.
+    pixels, lit_pixels : int
+        Pixels of the comparison; pixels that the projector lights.
+    tiles : int
+        Tiles that the bootstrap drew from.
+    cloud : Cloud
+        Mean points of the set that ranks first.
+    seconds : mapping of str to float
+        By stage.
+    parameters : mapping
+        For the provenance.
+    """
+
+    scene: str
+    repeats: int
+    seed: int
+    equal: Equal | None
+    sets: tuple[SetResult, ...]
+    ranking: tuple[str, ...]
+    pairs: tuple[Pair, ...]
+    error_ranking: tuple[str, ...]
+    error_pairs: tuple[Pair, ...]
+    pixels: int
+    lit_pixels: int
+    tiles: int
+    cloud: Cloud
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> SetResult:
+        """Return the result of the set of that name.
+
+        Raises
+        ------
+        InputError
+            If there is none.
+        """
+        for result in self.sets:
+            if result.name == name.replace(" ", ""):
+                return result
+        raise InputError("set", f"one of {', '.join(s.name for s in self.sets)}", name)
+
+    def pair(self, a: str, b: str, by: str = "std") -> Pair:
+        """Return two sets beside one another, `a` over `b`, whichever is better.
+
+        Parameters
+        ----------
+        a, b : str
+            Names of sets.
+        by : {"std", "error"}
+            ``std_median_mm`` or ``error_median_mm``.
+
+        Raises
+        ------
+        InputError
+            For sets that are not there, or one twice.
+        """
+        if by not in ("std", "error"):
+            raise InputError("pair", "std or error", repr(by))
+        first, second = self[a].name, self[b].name
+        for pair in self.pairs if by == "std" else self.error_pairs:
+            if (pair.a, pair.b) == (first, second):
+                return pair
+            if (pair.b, pair.a) == (first, second):
+                return pair.reversed()
+        raise InputError("pair", "two sets", f"{a} twice")
+
+    @property
+    def rankings_differ(self) -> bool:
+        """Whether some set repeats better than another that is significantly nearer the truth."""
+        place = {name: k for k, name in enumerate(self.ranking)}
+        return any(pair.significant and place[pair.a] > place[pair.b] for pair in self.error_pairs)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON, without maps and cloud."""
+        return {
+            "scene": self.scene,
+            "repeats": self.repeats,
+            "seed": self.seed,
+            "equal": self.equal,
+            "pixels": self.pixels,
+            "lit_pixels": self.lit_pixels,
+            "tiles": self.tiles,
+            "sets": [result.to_dict() for result in self.sets],
+            "ranking": list(self.ranking),
+            "pairs": [pair.to_dict() for pair in self.pairs],
+            "error_ranking": list(self.error_ranking),
+            "error_pairs": [pair.to_dict() for pair in self.error_pairs],
+            "seconds": dict(self.seconds),
+        }

@@ -1,0 +1,237 @@
+"""Repeated scans of a scene with one pattern set, summed up pixel by pixel.
+
+Light is traced once; every repeat is a product and a draw of the detector's noise.  Of each
+scan only running sums stay (B. P. Welford, Technometrics 4(3), 1962), so that memory does not
+grow with the number of repeats.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from slbench.bench.compare.comparison import Step
+from slbench.bench.compare.sets import PatternSet
+from slbench.capture.capture import capture
+from slbench.capture.stack import WeightSource
+from slbench.cloud.triangulation import PointCloud, triangulate
+from slbench.patterns import PhaseMap
+from slbench.scene.model import Scene
+from slbench.scene.truth import GroundTruth
+from slbench.score.features import StepScore, fit_features
+from slbench.simulate.scan import capture_stack
+from slbench.simulate.transport import LightTransport
+
+Array = NDArray[np.float64]
+Light = LightTransport | Sequence[LightTransport]
+
+
+@dataclass(frozen=True, eq=False)
+class Repeats:
+    """What repeated scans with one set say of P pixels.
+
+    Parameters
+    ----------
+    scans : (P,) int
+        Repeats in which the pixel was measured.
+    std_mm, std_z_mm : (P,) float
+        Standard deviation over them, of the point and of its height; NaN for fewer than two.
+    predicted_mm : (P,) float
+        Root mean square of the predicted deviations.
+    error_mm : (P, 3) float
+        Mean deviation from the truth.
+    square_mm2 : (P,) float
+        Sum of squared distances from the truth.
+    order_error_rate, completeness, seconds : float
+    exposure_s : float
+    steps : tuple of Step
+    stages : dict of str to float
+        Seconds by stage, all repeats.
+    """
+
+    scans: NDArray[np.int64]
+    std_mm: Array
+    std_z_mm: Array
+    predicted_mm: Array
+    error_mm: Array
+    square_mm2: Array
+    order_error_rate: float
+    completeness: float
+    seconds: float
+    exposure_s: float
+    steps: tuple[Step, ...]
+    stages: dict[str, float]
+
+
+def scan_repeats(
+    scene: Scene,
+    given: PatternSet,
+    light: Light,
+    truth: GroundTruth,
+    pixels: NDArray[np.intp],
+    *,
+    repeats: int,
+    seed: int,
+    weights: WeightSource = "lit",
+    on_progress: Callable[[float], None] | None = None,
+) -> Repeats:
+    """Scan a scene repeatedly with one pattern set.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its patterns and exposure are replaced by the set's.
+    given : PatternSet
+    light : LightTransport or sequence of LightTransport
+        With the marginals that the set needs; one a focus setting where the scene has any.
+    truth : GroundTruth
+    pixels : (P,) int
+        Flat indices of the pixels to sum up, ascending: smooth lit surface.
+    repeats, seed : int
+    weights : {"lit", "modulation"}
+        Of focus stacks.
+    on_progress : callable, optional
+
+    Returns
+    -------
+    Repeats
+    """
+    patterned = given.of(scene)
+    place = np.full(truth.lit.size, -1, np.intp)
+    place[pixels] = np.arange(len(pixels))
+    true = truth.point.reshape(-1, 3)[pixels]
+    sums = _Sums(len(pixels))
+    wrong, lit_points, exposure_s = 0, 0, float("nan")
+    times: list[float] = []
+    heights: list[dict[tuple[int, str], StepScore]] = []
+    stages = dict.fromkeys(("capture", "decode", "reconstruct", "sum up"), 0.0)
+    for r in range(repeats):
+        clock = [time.perf_counter()]
+        own = given.seed(seed, r)
+        if isinstance(light, LightTransport):
+            shots = capture(patterned, light, seed=own)
+            clock.append(time.perf_counter())
+            phase = shots.decode()
+        else:
+            stack = capture_stack(patterned, transports=light, seed=own)
+            clock.append(time.perf_counter())
+            fused = stack.fuse(weights)
+            shots, phase = fused.capture, fused.decode()
+        clock.append(time.perf_counter())
+        cloud = triangulate(scene.rig, phase)
+        clock.append(time.perf_counter())
+
+        flat = np.ravel_multi_index((cloud.pixels[:, 1], cloud.pixels[:, 0]), truth.lit.shape)
+        at = place[flat]
+        chosen = at >= 0
+        at = at[chosen]
+        variance = cloud.sigma_total_mm[chosen] ** 2
+        sums.add(at, cloud.points[chosen] - true[at], variance)
+        wrong += _order_errors(given, phase, truth, flat[chosen])
+        lit_points += int(np.count_nonzero(truth.lit.ravel()[flat]))
+        heights.append(_steps(scene, cloud, truth, chosen))
+        exposure_s = float("nan") if shots.exposure_s is None else shots.exposure_s
+        clock.append(time.perf_counter())
+        spent = np.diff(clock)
+        for name, seconds in zip(stages, spent, strict=True):
+            stages[name] += float(seconds)
+        times.append(float(spent[1] + spent[2]))
+        if on_progress:
+            on_progress((r + 1) / repeats)
+    measured = int(sums.scans.sum())
+    lit = int(np.count_nonzero(truth.lit))
+    return Repeats(
+        sums.scans,
+        sums.deviation(sums.squares.sum(axis=1)),
+        sums.deviation(sums.squares[:, 2]),
+        np.sqrt(sums.variance / np.maximum(sums.scans, 1)),
+        sums.mean,
+        sums.square,
+        wrong / measured if measured else float("nan"),
+        lit_points / (repeats * lit) if lit else float("nan"),
+        float(np.median(times)),
+        exposure_s,
+        _over_repeats(heights),
+        stages,
+    )
+
+
+class _Sums:
+    """Running sums of the deviations from truth of P pixels, which may miss some scans."""
+
+    def __init__(self, pixels: int) -> None:
+        self.scans = np.zeros(pixels, np.int64)
+        self.mean = np.zeros((pixels, 3))
+        self.squares = np.zeros((pixels, 3))  # of the distance from the mean
+        self.square = np.zeros(pixels)  # of the distance from the truth
+        self.variance = np.zeros(pixels)
+
+    def add(self, at: NDArray[np.intp], error: Array, variance: Array) -> None:
+        """Take a scan: pixels `at` (n,), deviations (n, 3), predicted variances (n,)."""
+        _add(at, error, self.scans, self.mean, self.squares, self.square)
+        self.variance[at] += variance
+
+    def deviation(self, squares: Array) -> Array:
+        """Return standard deviations from sums of squares (P,)."""
+        freedom = self.scans - 1
+        return np.sqrt(np.where(freedom > 0, squares / np.maximum(freedom, 1), np.nan))
+
+
+@njit(cache=True)
+def _add(at: Any, error: Any, scans: Any, mean: Any, squares: Any, square: Any) -> None:
+    """Welford's update of the pixels `at` (n,) with deviations (n, 3)."""
+    for i in range(at.size):
+        p = at[i]
+        scans[p] += 1
+        for k in range(3):
+            before = error[i, k] - mean[p, k]
+            mean[p, k] += before / scans[p]
+            squares[p, k] += before * (error[i, k] - mean[p, k])
+            square[p] += error[i, k] ** 2
+
+
+def _order_errors(
+    given: PatternSet, phase: PhaseMap, truth: GroundTruth, flat: NDArray[np.intp]
+) -> int:
+    """Count the pixels (flat indices) whose coordinate along any axis is of a wrong order."""
+    wrong = np.zeros(len(flat), bool)
+    for axis, coordinate in phase.coordinate.items():
+        true = truth.panel[..., "uv".index(axis)].ravel()[flat]
+        wrong |= np.abs(coordinate.ravel()[flat] - true) > given.tolerance_px(axis)
+    return int(np.count_nonzero(wrong))
+
+
+def _steps(
+    scene: Scene, cloud: PointCloud, truth: GroundTruth, chosen: NDArray[np.bool_]
+) -> dict[tuple[int, str], StepScore]:
+    """Fit the steps of all objects that have any to the chosen points of a scan."""
+    found: dict[tuple[int, str], StepScore] = {}
+    stepped = [k for k, item in enumerate(scene.objects) if item.artefact.steps]
+    if not stepped:
+        return found
+    owner = np.where(chosen, truth.object_id[cloud.pixels[:, 1], cloud.pixels[:, 0]], -1)
+    # As in a score: errors go together along the camera line that follows a panel line.
+    line = cloud.pixels[:, 0 if "u" in cloud.axes else 1]
+    for k in stepped:
+        own, item = owner == k, scene.objects[k]
+        for feature in fit_features(cloud.points[own], item.artefact, item.pose, line[own]):
+            if isinstance(feature, StepScore):
+                found[k, feature.name] = feature
+    return found
+
+
+def _over_repeats(scans: Sequence[dict[tuple[int, str], StepScore]]) -> tuple[Step, ...]:
+    """Return the steps that every scan has, in the order of the first."""
+    steps = []
+    for key, first in scans[0].items():
+        if all(key in scan for scan in scans):
+            measured = np.array([scan[key].measured_mm for scan in scans])
+            std = float(measured.std(ddof=1))
+            steps.append(Step(first.nominal_mm, float(measured.mean()), std))
+    return tuple(steps)

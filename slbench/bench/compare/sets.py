@@ -1,0 +1,155 @@
+"""Pattern sets to compare: read, checked, and given equal frames or equal light.
+
+*Equal frames.*  Every set with fringes gets as many frames as the longest set has.  Extra frames
+become further phase shifts of the last fringe set, which alone decides the noise of a coordinate
+whose fringe order is right: it falls with the root of that set's shifts, and with nothing else
+(:mod:`slbench.patterns.phase`).  The sets before it only have to find the order.
+
+*Equal photons.*  Every set has the total exposure of the shortest one: a set with k times its
+frames exposes each for 1/k of the time.  The light falls, read noise and rounding stay.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from slbench.core.errors import InputError
+from slbench.patterns import Axis, Fringes, PatternSequence, decode
+from slbench.scene.model import Scene
+from slbench.simulate.repeats import tagged_seed
+
+Equal = Literal["frames", "photons"]
+
+
+@dataclass(frozen=True)
+class PatternSet:
+    """A pattern sequence as it takes part in a comparison.
+
+    Parameters
+    ----------
+    name : str
+        As the user wrote it, without spaces; different in every set of a comparison.
+    sequence : PatternSequence
+        As it is projected, further shifts included.
+    exposure_share : float
+        Exposure of a frame over that of the scene.
+    note : str
+        What a reader must know of it.
+    """
+
+    name: str
+    sequence: PatternSequence
+    exposure_share: float = 1.0
+    note: str = ""
+
+    @property
+    def frames(self) -> int:
+        """Frames of one scan."""
+        return self.sequence.n_frames
+
+    def of(self, scene: Scene) -> Scene:
+        """Return the scene with these patterns and this exposure."""
+        light = scene.exposure
+        if light.time_s is not None:
+            light = replace(light, time_s=light.time_s * self.exposure_share)
+        else:
+            light = replace(light, white_level=light.white_level * self.exposure_share)
+        return replace(scene, sequence=self.sequence, exposure=light)
+
+    def seed(self, seed: int, repeat: int) -> int:
+        """Return the seed of one repeat, which no other set of another name shares."""
+        digest = hashlib.sha256(self.name.encode()).digest()
+        words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 16, 4)]
+        return tagged_seed(seed, *words, repeat)
+
+    def tolerance_px(self, axis: Axis) -> float:
+        """Return how far off a coordinate is when its order is wrong, px.
+
+        Half a period of the last fringe set, or, where a Gray code stands alone, half its
+        finest stripe: one column.
+        """
+        counts = self.sequence.fringe_counts(axis)
+        return 0.5 * self.sequence.size(axis) / counts[-1] if counts else 1.0
+
+
+def pattern_sets(
+    texts: Sequence[str], scene: Scene, *, shifts: int = 3, equal: Equal | None = None
+) -> tuple[PatternSet, ...]:
+    """Read pattern sets for a scene's panel and make them equal in frames or light.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        As :meth:`slbench.patterns.PatternSequence.parse` reads them.
+    scene : Scene
+        Its panel, and the axes that its own patterns code.
+    shifts : int
+        Phase shifts where a text gives none.
+    equal : {"frames", "photons"} or None
+
+    Returns
+    -------
+    tuple of PatternSet
+        In the order given.
+
+    Raises
+    ------
+    InputError
+        For no sets, a set given twice, one that cannot be read, shown or decoded, or another
+        `equal`.
+    """
+    if equal is not None and equal not in get_args(Equal):
+        raise InputError("equal", "frames or photons", repr(equal))
+    if isinstance(texts, str) or not texts:
+        raise InputError("sets", "one or more pattern sets", repr(texts))
+    sets: list[PatternSet] = []
+    for text in texts:
+        name = text.replace(" ", "") if isinstance(text, str) else text
+        if name in [one.name for one in sets]:
+            raise InputError("sets", "every set once", f"{name} twice")
+        axes = "".join(scene.sequence.axes) or "u"
+        sequence = PatternSequence.parse(name, scene.sequence.panel, shifts, axes)
+        try:
+            # A sequence that cannot be unwrapped is refused before any light is traced.
+            decode(np.zeros((sequence.n_frames, 1, 1), np.uint8), sequence)
+        except InputError as error:
+            raise InputError(f"set {name}: {error.where}", error.expected, error.got) from None
+        sets.append(PatternSet(name, sequence))
+    if equal == "frames":
+        longest = max(one.frames for one in sets)
+        return tuple(with_frames(one, longest) for one in sets)
+    if equal == "photons":
+        shortest = min(one.frames for one in sets)
+        return tuple(replace(one, exposure_share=shortest / one.frames) for one in sets)
+    return tuple(sets)
+
+
+def with_frames(given: PatternSet, frames: int) -> PatternSet:
+    """Return a set with further shifts of its last fringe set, `frames` in all.
+
+    With two coded axes the further shifts are shared between their last sets, the first axis
+    taking the odd one.  A set without fringes keeps its frames, and its note says so.
+    """
+    sequence, missing = given.sequence, frames - given.frames
+    if missing <= 0:
+        return given
+    last = {part.axis: k for k, part in enumerate(sequence.parts) if isinstance(part, Fringes)}
+    if not last:
+        return replace(given, note=f"keeps its {given.frames} frames: no fringes to shift further")
+    parts, added = list(sequence.parts), []
+    for k, index in enumerate(last.values()):
+        part = parts[index]
+        assert isinstance(part, Fringes)  # by the choice of indices
+        extra = math.ceil((missing - k) / len(last))
+        if extra:
+            parts[index] = replace(part, shifts=part.shifts + extra)
+            along = f" along {part.axis}" if len(last) > 1 else ""
+            added.append(f"{part.count} fringes{along} with {part.shifts + extra} shifts")
+    grown = PatternSequence(sequence.panel, tuple(parts))
+    return replace(given, sequence=grown, note=", ".join(added))

@@ -1,0 +1,1 @@
+"""Models from camera and panel coordinates to space."""

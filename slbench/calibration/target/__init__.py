@@ -1,0 +1,1 @@
+"""Calibration targets in pictures: detect, number, re-map."""

@@ -1,0 +1,1 @@
+"""Captures: frames and what was projected; focus stacks and their fusion."""

@@ -1,0 +1,392 @@
+"""Focus stacks: captures of one scene at several focus settings, fused pattern by pattern.
+
+The lit frames of all settings say where each setting is sharp (:mod:`slbench.capture.fusion`); the
+same weights fuse every pattern (thesis 5.4.2).  In memory a stack is a list of captures; on
+disk a folder with a ``stack.toml`` and one capture folder a setting, of which one frame at a
+time is read, so that a large stack need not fit into memory.
+
+``weights="modulation"`` goes beyond the thesis: a surface without texture looks the same at
+all settings, and a projector out of focus does not show in the lit frame at all.  Both show in
+the modulation of the finest fringes, pixel by pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.capture.capture import MANIFEST as CAPTURE_MANIFEST
+from slbench.capture.capture import Capture
+from slbench.capture.fusion import Alignment, FusionWeights, selective_weights
+from slbench.capture.fusion.measures import check_window
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.core.io import read_grey, read_toml, write_toml
+from slbench.patterns import (
+    Flat,
+    Fringes,
+    NoiseModel,
+    PhaseMap,
+    relative_phase,
+)
+from slbench.scene.model import Focus
+
+Array = NDArray[np.float64]
+WeightSource = Literal["lit", "modulation"]
+
+MANIFEST = "stack.toml"
+_FORMAT = 1
+_KEYS = {"format", "captures", "camera_mm", "projector_mm"}
+#: Fused frames have 16 bits: averages are finer than the frames that they are made of.
+_BITS = 16
+#: A fused pixel counts as saturated when this share of its weight is.
+_SATURATED_SHARE = 0.01
+#: Modulation that is nothing but rounding, DN: there all settings count alike.
+_DARK = 1e-6
+#: Weight of the best setting.
+_FULL = 65535
+
+
+@dataclass(frozen=True, eq=False)
+class FusedCapture:
+    """A stack fused into one capture.
+
+    Parameters
+    ----------
+    capture : Capture
+        16-bit frames, one a pattern; its noise model is that of a single frame.
+    weights : FusionWeights
+    """
+
+    capture: Capture
+    weights: FusionWeights
+
+    def decode(self, **options: Any) -> PhaseMap:
+        """Decode the fused frames; deviations are lessened by what the average gains."""
+        phase = self.capture.decode(**options)
+        gain = self.weights.noise_gain
+        return replace(phase, sigma={axis: gain * sigma for axis, sigma in phase.sigma.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class FocusStack:
+    """Captures of the same patterns at several focus settings.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        One a setting, equal but for their frames.  May read from disk when indexed.
+    focus : Focus or None
+        The settings, where they are known.
+    reader : callable, optional
+        ``reader(setting, frame)`` gives one frame without loading its capture.
+
+    Raises
+    ------
+    InputError
+        For no captures, or captures that differ.
+    """
+
+    captures: Sequence[Capture]
+    focus: Focus | None = None
+    reader: Callable[[int, int], NDArray[Any]] | None = None
+
+    def __post_init__(self) -> None:
+        if len(self.captures) == 0:
+            raise InputError("focus stack", "at least one capture", "none")
+        if self.focus is not None and len(self.focus) != len(self.captures):
+            raise InputError(
+                "focus stack", f"a capture for each of {len(self.focus)} settings", len(self)
+            )
+        if self.reader is None:
+            first = self.captures[0]
+            for k, other in enumerate(self.captures):
+                _check_alike(f"focus stack: captures[{k}]", first, other)
+
+    def __len__(self) -> int:
+        return len(self.captures)
+
+    @property
+    def lit_frame(self) -> int:
+        """Index of the fully lit frame.
+
+        Raises
+        ------
+        InputError
+            If the patterns have none.
+        """
+        sequence = self.captures[0].sequence
+        for k, frame in enumerate(sequence.frames()):
+            if isinstance(frame.part, Flat) and frame.part.level == 1.0:
+                return k
+        raise InputError(
+            "focus stack", "a fully lit frame (white) among the patterns", sequence.name
+        )
+
+    def frame(self, setting: int, index: int) -> NDArray[Any]:
+        """Return one frame, (V, U)."""
+        if self.reader is not None:
+            return self.reader(setting, index)
+        return self.captures[setting].frames[index]
+
+    def weights(self, source: WeightSource = "lit", **options: Any) -> FusionWeights:
+        """Find where each setting is sharp.
+
+        Parameters
+        ----------
+        source : {"lit", "modulation"}
+            The texture of the lit frames (thesis), or the modulation of the finest fringes.
+        options
+            For :func:`slbench.capture.fusion.selective_weights` or :func:`modulation_weights`.
+
+        Returns
+        -------
+        FusionWeights
+            Focus positions are indices of the settings.
+
+        Raises
+        ------
+        InputError
+            For a stack without the frames that are needed.
+        """
+        if source == "lit":
+            return selective_weights(self.lit(), **options)
+        if source != "modulation":
+            raise InputError("weights", "lit or modulation", repr(source))
+        return modulation_weights(self, **options)
+
+    def fuse(self, source: WeightSource = "lit", **options: Any) -> FusedCapture:
+        """Fuse every pattern with the weights of :meth:`weights`."""
+        return self.fuse_with(self.weights(source, **options))
+
+    def lit(self) -> Sequence[Array]:
+        """Return the lit frames of all settings, full scale 1, read when they are asked for."""
+        return _Frames(self, self.lit_frame, 1.0 / (2 ** self.captures[0].bit_depth - 1))
+
+    def fuse_with(self, weights: Any, alignment: Alignment | None = None) -> FusedCapture:
+        """Fuse every pattern with given weights.
+
+        Parameters
+        ----------
+        weights : FusionWeights, or anything else with their ``fuse`` and ``noise_gain``
+        alignment : Alignment, optional
+            Of the lit frames; every pattern's are moved by it first.
+        """
+
+        def fused(index: int, scale: float, saturation: int | None = None) -> Array:
+            frames = _Frames(self, index, scale, saturation)
+            return weights.fuse(frames if alignment is None else alignment.apply(frames))
+
+        first = self.captures[0]
+        scale = 2.0 ** (_BITS - first.bit_depth)
+        saturation = first.saturation_dn or 2**first.bit_depth - 1
+        frames = np.empty((len(first.sequence.frames()), *first.frames.shape[1:]), np.uint16)
+        for k in range(len(frames)):
+            image = fused(k, scale)
+            if any(self.frame(p, k).max() >= saturation for p in range(len(self))):
+                share = fused(k, 1.0, saturation)
+                image = np.where(share > _SATURATED_SHARE, scale * saturation, image)
+            frames[k] = np.clip(np.rint(image), 0, 2**_BITS - 1)
+        capture = Capture(
+            frames,
+            first.sequence,
+            _BITS,
+            _scaled(first.noise or NoiseModel(), scale),
+            first.rig,
+            first.exposure_s,
+            int(scale * saturation),
+            scale * first.least_modulation_dn,
+        )
+        return FusedCapture(capture, weights)
+
+    def save(self, folder: str | Path) -> None:
+        """Write one capture folder a setting, and ``stack.toml`` last."""
+        root = Path(folder)
+        names = [f"focus{k:03d}" for k in range(len(self))]
+        for name, capture in zip(names, self.captures, strict=True):
+            capture.save(root / name)
+        manifest: dict[str, Any] = {"format": _FORMAT, "captures": names}
+        if self.focus is not None:
+            manifest |= {
+                "camera_mm": list(self.focus.camera_mm),
+                "projector_mm": list(self.focus.projector_mm),
+            }
+        write_toml(root / MANIFEST, manifest)
+
+    @classmethod
+    def load(cls, folder: str | Path) -> FocusStack:
+        """Open a folder with a ``stack.toml``; frames are read when they are needed.
+
+        Raises
+        ------
+        InputError
+            Naming the file and key at fault; a capture that differs from the first.
+        """
+        path = Path(folder) / MANIFEST
+        manifest = read_toml(path)
+        for key in manifest:
+            if key not in _KEYS:
+                raise InputError(f"{path}: {key}", f"one of {sorted(_KEYS)}", "an unknown key")
+        if manifest.get("format", _FORMAT) != _FORMAT:
+            raise InputError(f"{path}: format", str(_FORMAT), manifest["format"])
+        names = manifest.get("captures")
+        if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+            raise InputError(f"{path}: captures", "a list of folders", repr(names)[:60])
+        captures = _Folders(path, names)
+        return cls(captures, _focus(path, manifest), captures.frame)
+
+
+class _Folders(Sequence[Capture]):
+    """Captures on disk, alike by their manifests; the first is kept."""
+
+    def __init__(self, path: Path, names: list[str]) -> None:
+        self._folders = [resources.inside(path.parent, name) for name in names]
+        self._first = Capture.load(self._folders[0])
+        self._frames: list[list[str]] = []
+        alike: dict[str, Any] = {}
+        for name, folder in zip(names, self._folders, strict=True):
+            manifest = read_toml(folder / CAPTURE_MANIFEST)
+            frames = manifest.pop("frames", None)
+            if not isinstance(frames, list) or len(frames) != len(self._first.frames):
+                expected = f"{len(self._first.frames)} frames, as the first capture"
+                raise InputError(f"{path}: {name}", expected, repr(frames)[:60])
+            manifest.pop("rig", None)  # differs in its focus
+            alike = alike or manifest
+            for key in sorted({*alike, *manifest}):
+                if manifest.get(key) != alike.get(key):
+                    where = f"{path}: {name}: {key}"
+                    got = repr(manifest.get(key))[:60]
+                    raise InputError(where, "what the first capture has", got)
+            self._frames.append(frames)
+
+    def __len__(self) -> int:
+        return len(self._folders)
+
+    def __getitem__(self, index: Any) -> Any:
+        return self._first if index == 0 else Capture.load(self._folders[index])
+
+    def frame(self, setting: int, index: int) -> NDArray[Any]:
+        """Read one frame."""
+        path = resources.inside(self._folders[setting], self._frames[setting][index])
+        image = read_grey(path)
+        expected = self._first.frames
+        if image.shape != expected.shape[1:] or image.dtype != expected.dtype:
+            raise InputError(
+                path,
+                f"{expected.shape[2]} x {expected.shape[1]} px {expected.dtype}, as the first",
+                f"{image.shape[1]} x {image.shape[0]} px {image.dtype}",
+            )
+        return image
+
+
+class _Frames(Sequence[Array]):
+    """One pattern at all settings, times `scale`; or where it is saturated."""
+
+    def __init__(
+        self, stack: FocusStack, index: int, scale: float, saturation: int | None = None
+    ) -> None:
+        self._stack, self._index, self._scale = stack, index, scale
+        self._saturation = saturation
+
+    def __len__(self) -> int:
+        return len(self._stack)
+
+    def __getitem__(self, setting: Any) -> Any:
+        frame = self._stack.frame(setting, self._index)
+        if self._saturation is not None:
+            return (frame >= self._saturation).astype(np.float64)
+        return frame * self._scale
+
+
+def modulation_weights(stack: FocusStack, window: int = 9) -> FusionWeights:
+    """Weight the settings by their modulation of the finest fringes.
+
+    The sum of frames with weights w_p has the modulation sum w_p b_p and, for equal noise, the
+    deviation sqrt(sum w_p^2) times that of one: their ratio, and with it the phase, is best for
+    w_p in proportion to b_p (the matched filter).  b_p is taken in step with the strongest
+    setting's fringes, so that contrast reversed by defocus counts as none, and averaged over a
+    window, so that its own noise does not bias the sum.
+
+    Parameters
+    ----------
+    stack : FocusStack
+    window : int
+        Side of the window, px; odd.
+
+    Returns
+    -------
+    FusionWeights
+        ``focus`` is the index of the strongest setting; selectivity is not defined (NaN).
+    """
+    sequence = stack.captures[0].sequence
+    sets = [(part.count, i) for i, part in enumerate(sequence.parts) if isinstance(part, Fringes)]
+    if not sets:
+        raise InputError("focus stack", "fringes, for weights by modulation", sequence.name)
+    check_window(window, 1)
+    finest = max(sets)[1]
+    own = [k for k, frame in enumerate(sequence.frames()) if frame.part_index == finest]
+    waves: list[NDArray[np.complex64]] = []
+    for setting in range(len(stack)):
+        frames = np.stack([stack.frame(setting, k) for k in own])
+        phase, modulation, _ = relative_phase(frames)
+        waves.append((modulation * np.exp(1j * phase)).astype(np.complex64))
+    strength = np.abs(waves)
+    best = np.argmax(strength, axis=0)
+    reference = np.take_along_axis(np.array(waves), best[np.newaxis], axis=0)[0]
+    reference = np.conj(reference) / np.maximum(np.abs(reference), 1e-12)
+    in_step = np.stack(
+        [cv2.blur((wave * reference).real, (window, window)).clip(min=0.0) for wave in waves]
+    )
+    peak = np.max(in_step, axis=0)
+    seen = peak > _DARK
+    in_step = np.where(seen, in_step / np.where(seen, peak, 1.0), 1.0)
+    weights = np.rint(_FULL * in_step).astype(np.uint16)
+    nowhere = np.full(peak.shape, np.nan)
+    return FusionWeights(weights, np.where(seen, best, np.nan), nowhere)
+
+
+def _check_alike(where: str, first: Capture, other: Capture) -> None:
+    if other.sequence != first.sequence:
+        raise InputError(where, f"the patterns of the first, {first.sequence.name}", "others")
+    if other.frames.shape != first.frames.shape or other.bit_depth != first.bit_depth:
+        expected = f"{first.frames.shape} with {first.bit_depth} bits, as the first"
+        raise InputError(where, expected, f"{other.frames.shape} with {other.bit_depth}")
+
+
+def _focus(path: Path, manifest: dict[str, Any]) -> Focus | None:
+    keys = [key for key in ("camera_mm", "projector_mm") if key in manifest]
+    if not keys:
+        return None
+    if len(keys) == 1:
+        raise InputError(path, "camera_mm and projector_mm, or neither", keys[0])
+    distances = []
+    for key in keys:
+        values = manifest[key]
+        numbers = isinstance(values, list) and all(type(v) in (int, float) for v in values)
+        if not numbers or len(values) != len(manifest["captures"]):
+            expected = f"{len(manifest['captures'])} numbers, one a capture"
+            raise InputError(f"{path}: {key}", expected, repr(values)[:60])
+        distances.append(tuple(float(v) for v in values))
+    try:
+        return Focus(distances[0], distances[1])
+    except InputError as error:
+        raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
+
+
+def _scaled(noise: NoiseModel, scale: float) -> NoiseModel:
+    """Return the noise of frames multiplied by `scale` and rounded again.
+
+    The first rounding becomes part of the constant noise.
+    """
+    return NoiseModel(
+        read_dn=scale * float(np.sqrt(noise.constant_variance)),
+        gain_dn_per_e=scale * noise.gain_dn_per_e,
+        offset_dn=scale * noise.offset_dn,
+        step_dn=1.0,
+    )

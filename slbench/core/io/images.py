@@ -1,0 +1,212 @@
+"""Images: multi-channel EXR for maps of numbers, PNG for frames.
+
+EXR (through the OpenEXR package) keeps float32 exactly and names its channels; PNG (through
+OpenCV) keeps a camera's 8 or 16 bit digital numbers exactly.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import OpenEXR
+from numpy.typing import ArrayLike, NDArray
+
+from slbench.core.errors import InputError
+from slbench.core.io.atomic import atomic_path, describe, existing, write_bytes
+
+_EXR_MAGIC = b"\x76\x2f\x31\x01"
+
+
+def write_exr(path: str | Path, channels: Mapping[str, ArrayLike]) -> None:
+    """Write a multi-channel EXR, losslessly (ZIP) compressed.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    channels : mapping of str to (V, U) ndarray of float32 or uint32
+        Named channels, e.g. ``point.X``; all of one shape.
+
+    Raises
+    ------
+    InputError
+        If there is no channel, or shapes or types are not as above.
+    """
+    pixels: dict[str, NDArray[Any]] = {}
+    for name, values in channels.items():
+        # OpenEXR reads an array's memory from front to back whatever its strides are.
+        image = np.ascontiguousarray(values)
+        if image.ndim != 2 or image.size == 0 or image.dtype not in (np.float32, np.uint32):
+            raise InputError(
+                f"{path}: channel {name!r}", "a (V, U) float32 or uint32 image", describe(image)
+            )
+        pixels[name] = image
+    if not pixels or "" in pixels or len({image.shape for image in pixels.values()}) != 1:
+        shapes = {name: image.shape for name, image in pixels.items()}
+        raise InputError(path, "one or more named channels of one shape", shapes or "none")
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic_path(path) as temporary:
+        OpenEXR.File(header, pixels).write(str(temporary))
+
+
+def read_exr(path: str | Path) -> dict[str, NDArray[Any]]:
+    """Read every channel of a single-part EXR.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    dict of str to (V, U) ndarray of float32 or uint32
+        Named channels; half-precision ones become float32.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, corrupt, or has subsampled channels.
+    """
+    path = existing(path)
+    with path.open("rb") as stream:
+        if stream.read(4) != _EXR_MAGIC:
+            raise InputError(path, "an EXR file", "a file without the EXR signature")
+    try:
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+        images = {name: channel.pixels for name, channel in channels.items()}
+    except (RuntimeError, ValueError, MemoryError) as error:
+        raise InputError(path, "an EXR file", f"a corrupt one ({error})") from error
+    if not images or len({np.shape(image) for image in images.values()}) != 1:
+        raise InputError(path, "EXR channels of one shape", "none, or subsampled ones")
+    return {
+        name: np.array(image, dtype=np.uint32 if image.dtype == np.uint32 else np.float32)
+        for name, image in images.items()
+    }
+
+
+def write_png(path: str | Path, image: ArrayLike) -> None:
+    """Write a grey or RGB image of 8 or 16 bit.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; its suffix must be ``.png``.
+    image : (V, U) or (V, U, 3) ndarray of uint8 or uint16
+        Grey, or red, green, blue.
+
+    Raises
+    ------
+    InputError
+        If the suffix, the shape or the type is not as above.
+    """
+    path = Path(path)
+    pixels = np.asarray(image)
+    if path.suffix.lower() != ".png":
+        raise InputError(path, "a name that ends in .png", repr(path.suffix))
+    colour = pixels.ndim == 3 and pixels.shape[2] == 3
+    if (
+        not (pixels.ndim == 2 or colour)
+        or pixels.size == 0
+        or pixels.dtype not in (np.uint8, np.uint16)
+    ):
+        expected = "a (V, U) or (V, U, 3) image of uint8 or uint16"
+        raise InputError(path, expected, describe(pixels))
+    ordered = pixels[:, :, ::-1] if colour else pixels  # OpenCV stores blue first
+    ok, encoded = cv2.imencode(".png", np.ascontiguousarray(ordered))
+    if not ok:
+        raise InputError(path, "an image that PNG can hold", describe(pixels))
+    write_bytes(path, encoded.tobytes())
+
+
+def read_grey(path: str | Path) -> NDArray[Any]:
+    """Read an image (PNG, TIFF, BMP, JPEG, ...) as grey values, bit depth kept.
+
+    Colour becomes luma, ``0.299 R + 0.587 G + 0.114 B`` (ITU-R BT.601); transparency and
+    orientation tags are ignored: a camera's pixels stay where the sensor had them.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    (V, U) ndarray of uint8 or uint16
+        Digital numbers.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, corrupt, or not of 8 or 16 bit.
+    """
+    image = _decoded(path)
+    if image.ndim == 3:
+        from_colour = cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY
+        image = cv2.cvtColor(image, from_colour)
+    return image
+
+
+def read_colour(path: str | Path) -> NDArray[Any]:
+    """Read an image (PNG, TIFF, BMP, JPEG, ...) as it is, grey or colour, bit depth kept.
+
+    Orientation tags are ignored: a camera's pixels stay where the sensor had them.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+
+    Returns
+    -------
+    (V, U) or (V, U, 3) ndarray of uint8 or uint16
+        Digital numbers; red, green, blue.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, corrupt, not of 8 or 16 bit, or has transparent pixels.  An
+        alpha channel that is opaque throughout says nothing and is dropped.
+    """
+    image = _decoded(path)
+    if image.ndim == 2:
+        return image
+    if image.shape[2] == 4 and image[:, :, 3].min() < np.iinfo(image.dtype).max:
+        raise InputError(path, "an image without transparency", "one with transparent pixels")
+    return np.ascontiguousarray(image[:, :, 2::-1])  # OpenCV has blue first
+
+
+def _decoded(path: str | Path) -> NDArray[Any]:
+    """Return an image file's pixels as OpenCV has them: (V, U), or (V, U, 3 or 4), blue first."""
+    path = existing(path)
+    content = path.read_bytes()
+    if content.startswith(b"\xff\xd8") and not _jpeg_is_whole(content):
+        raise InputError(path, "an image file", "a JPEG that is cut off")
+    encoded = np.frombuffer(content, dtype=np.uint8)
+    try:
+        image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
+    except cv2.error as error:
+        raise InputError(path, "an image file", f"a corrupt one ({error})") from error
+    if image is None:
+        raise InputError(path, "an image file", "one that cannot be decoded")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InputError(path, "an image of 8 or 16 bit", describe(image))
+    return image
+
+
+def _jpeg_is_whole(content: bytes) -> bool:
+    """Tell whether a JPEG has its end; the decoder fills what is missing with grey.
+
+    Segments ahead of the first scan are skipped by their lengths, since previews in them
+    have ends of their own (ITU-T T.81, annex B).  Within a scan, FF D9 is an end and no data.
+    """
+    place = 2
+    while len(content) >= place + 4 and content[place] == 0xFF:
+        if content[place + 1] == 0xFF:  # padding
+            place += 1
+        elif content[place + 1] == 0xDA:  # start of scan
+            return content.find(b"\xff\xd9", place) > 0
+        else:
+            place += 2 + int.from_bytes(content[place + 2 : place + 4], "big")
+    return False

@@ -1,0 +1,144 @@
+"""Calibrations in the YAML of ``cv::FileStorage``, so that OpenCV users can load them.
+
+Written and read by OpenCV itself: its YAML is a dialect of its own.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.core.errors import InputError
+from slbench.core.io.atomic import atomic_path, describe, existing
+
+_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+def write_opencv_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
+    """Write the YAML that ``cv::FileStorage`` reads.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; its suffix must be ``.yml`` or ``.yaml``.
+    values : mapping of str to ndarray, float, int or str
+        Arrays of one or two axes become matrices of type CV_64F, a vector a column
+        (n, 1) as OpenCV keeps distortion coefficients.
+
+    Raises
+    ------
+    InputError
+        If a name or a value is not one that OpenCV can hold.
+    """
+    path = Path(path)
+    if path.suffix not in (".yml", ".yaml"):
+        raise InputError(path, "a name that ends in .yml or .yaml", repr(path.suffix))
+    entries: dict[str, Any] = {}
+    for name, value in values.items():
+        where = f"{path}: {name}"
+        if not _KEY.fullmatch(name):
+            raise InputError(path, "names of letters, digits, _ and -", repr(name))
+        if isinstance(value, np.ndarray):
+            if value.ndim not in (1, 2) or value.size == 0 or value.dtype.kind not in "iuf":
+                raise InputError(where, "a numeric array of one or two axes", describe(value))
+            matrix = value.reshape(len(value), -1)
+            entries[name] = np.ascontiguousarray(matrix, dtype=np.float64)
+        elif isinstance(value, int | np.integer) and not isinstance(value, bool):
+            if not -(2**31) <= value < 2**31:  # OpenCV would store something else, silently
+                raise InputError(where, "an integer of 32 bits", value)
+            entries[name] = int(value)
+        elif isinstance(value, float | np.floating):
+            entries[name] = float(value)
+        elif isinstance(value, str):
+            entries[name] = value
+        else:
+            raise InputError(where, "an array, a number or a text", type(value).__name__)
+    with atomic_path(path) as temporary:
+        storage = cv2.FileStorage(str(temporary), cv2.FILE_STORAGE_WRITE)
+        try:
+            for name, value in entries.items():
+                storage.write(name, value)
+        finally:
+            storage.release()
+
+
+def read_opencv_yaml(path: str | Path) -> dict[str, Any]:
+    """Read the matrices, numbers, texts and number lists of a ``cv::FileStorage`` file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file (YAML; OpenCV's XML and JSON are read too).
+
+    Returns
+    -------
+    dict of str to ndarray, float, int or str
+        Matrices as float64 (rows, columns); lists of numbers as float64 (n,).
+
+    Raises
+    ------
+    InputError
+        If the file is missing or corrupt, or holds structures other than these.
+    """
+    path = existing(path)
+    values: dict[str, Any] = {}
+    try:
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        try:
+            root = storage.root()
+            for name in root.keys():  # noqa: SIM118 - a FileNode is not a mapping
+                values[name] = _value(root.getNode(name), f"{path}: {name}")
+        finally:
+            storage.release()
+    except InputError:
+        raise
+    except (cv2.error, SystemError, UnicodeDecodeError) as error:
+        raise InputError(path, "an OpenCV YAML file", "one that OpenCV cannot read") from error
+    return values
+
+
+def _value(node: Any, where: str) -> Any:
+    if node.isInt():
+        return int(node.real())
+    if node.isReal():
+        return float(node.real())
+    if node.isString():
+        return node.string()
+    if node.isSeq() and (numbers := _numbers(node)) is not None:
+        return numbers
+    if node.isMap() and (matrix := _matrix(node)) is not None:
+        return matrix
+    raise InputError(where, "a matrix, a number, a text or a list of numbers", "something else")
+
+
+def _numbers(node: Any) -> NDArray[np.float64] | None:
+    """Return a list of numbers, or None if it holds anything else."""
+    items = [node.at(i) for i in range(node.size())]
+    if not all(item.isInt() or item.isReal() for item in items):
+        return None
+    return np.array([item.real() for item in items], dtype=np.float64)
+
+
+def _matrix(node: Any) -> NDArray[np.float64] | None:
+    """Return a matrix of one channel, or None if the map is none or not a sound one.
+
+    ``FileNode.mat`` writes beyond its memory when ``cols`` is missing, so it is not used.
+    OpenCV 5 gives arrays of one axis ``sizes`` in place of ``rows`` and ``cols``.
+    """
+    kind, data, sizes = (node.getNode(name) for name in ("dt", "data", "sizes"))
+    if not (kind.isString() and len(kind.string()) == 1 and data.isSeq()):
+        return None
+    if sizes.isSeq():
+        lengths = [sizes.at(i) for i in range(sizes.size())]
+    else:
+        lengths = [node.getNode("rows"), node.getNode("cols")]
+    values = _numbers(data)
+    if values is None or not lengths or not all(length.isInt() for length in lengths):
+        return None
+    shape = [int(length.real()) for length in lengths]
+    return values.reshape(shape) if min(shape) > 0 and math.prod(shape) == values.size else None

@@ -1,0 +1,1 @@
+"""Data sets in other formats: frames, HDF5, BOP."""

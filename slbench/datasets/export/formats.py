@@ -1,0 +1,100 @@
+"""Other layouts of a data set: folders of pictures, HDF5, BOP.
+
+A sample at a time goes from its shard into the new files, so memory and temporary disk stay
+those of one sample; what is written appears under its name when it is complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, get_args
+
+from slbench.core.errors import InputError
+from slbench.core.io import atomic_folder, atomic_path, write_provenance
+from slbench.datasets.export.bop import write_bop
+from slbench.datasets.export.frames import write_frames
+from slbench.datasets.export.hdf5 import write_hdf5
+from slbench.datasets.read.reader import Dataset
+from slbench.datasets.read.recipe import Recipe
+
+Format = Literal["frames", "hdf5", "bop"]
+
+
+def check_target(form: str, out: Path) -> None:
+    """Refuse a format that is none, or a target that exists.
+
+    Raises
+    ------
+    InputError
+        For another format, or a file or a folder with something in it at `out`.
+    """
+    if form not in get_args(Format):
+        raise InputError("--format", " or ".join(get_args(Format)), repr(form))
+    if form == "hdf5" and out.suffix not in (".h5", ".hdf5"):
+        raise InputError("--out", "for hdf5 a file that ends in .h5 or .hdf5", out)
+    if out.is_file() or (out.is_dir() and (form == "hdf5" or any(out.iterdir()))):
+        raise InputError("--out", "a name that is not taken", f"{out}, which exists")
+
+
+def export(
+    data: Dataset,
+    out: str | Path,
+    form: Format,
+    recipe: Recipe | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> int:
+    """Write a selection of a data set in another layout.
+
+    Parameters
+    ----------
+    data : Dataset
+    out : str or Path
+        A folder, or for HDF5 a file, that does not exist.
+    form : {"frames", "hdf5", "bop"}
+        See :mod:`slbench.datasets.export.frames`, ``export_hdf5`` and ``export_bop``.
+    recipe : Recipe, optional
+        Patterns and noise; the first stored capture of each sample by default.
+    on_progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    int
+        Number of samples written.
+
+    Raises
+    ------
+    InputError
+        If the target is taken, nothing is selected, a sample cannot be read, or it has no
+        place in the layout.  Nothing is left then.
+    """
+    target = Path(out)
+    check_target(form, target)
+    recipe = recipe or Recipe(None)
+    if not len(data):
+        raise InputError("data set", "at least one sample to export", "none")
+    if form == "hdf5":
+        with atomic_path(target) as temporary:
+            for done in write_hdf5(data, recipe, temporary):
+                _report(on_progress, done, data)
+        return len(data)
+    with atomic_folder(target) as temporary:
+        write = write_frames if form == "frames" else write_bop
+        for done in write(data, recipe, temporary):
+            _report(on_progress, done, data)
+        patterns = None if recipe.patterns is None else str(recipe.patterns)
+        parameters = {
+            "dataset": data.manifest.name,
+            "format": form,
+            "patterns": patterns,
+            "noise": recipe.noise,
+            "samples": len(data),
+        }
+        write_provenance(temporary, parameters, recipe.seed)
+    return len(data)
+
+
+def _report(on_progress: Callable[[float], None] | None, done: int, data: Dataset) -> None:
+    if on_progress:
+        on_progress(done / len(data))

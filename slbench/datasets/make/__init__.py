@@ -1,0 +1,1 @@
+"""Making data sets, on one machine or many."""

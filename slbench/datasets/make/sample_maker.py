@@ -1,0 +1,288 @@
+"""Making one sample: draw until the constraints are met, trace, capture, score.
+
+The stages are those of :func:`slbench.simulate.scan.scan`; the light is traced once for all pattern
+sets and repeats.  A sample's bytes follow from specification, seed, index and what
+:func:`environment` names: nothing in them tells the time, the host or the number of threads.
+(Every stage sums in an order that threads do not change; linear algebra, whose libraries may, is
+held to one thread.)  The kind of processor does matter: BLAS and NumPy have kernels of their own
+for each, whose last bits differ.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import tempfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.linalg  # noqa: F401  (its BLAS is among those that environment() names)
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from slbench.capture.capture import capture
+from slbench.cloud.triangulation import triangulate
+from slbench.core.errors import InputError
+from slbench.core.io import provenance, write_json
+from slbench.datasets.spec.sampling import (
+    Draw,
+    capture_seed,
+    draw,
+    outside_volume,
+    place_scene,
+    sample_seed,
+)
+from slbench.datasets.spec.specification import Specification
+from slbench.datasets.store.index import OK, SCORES, STATISTICS
+from slbench.datasets.store.sample import (
+    PROVENANCE,
+    SCORE,
+    TRANSPORT,
+    TRUTH,
+    capture_names,
+    from_folder,
+    rounded,
+    write_capture,
+    write_transport,
+)
+from slbench.datasets.store.shards import digest, key
+from slbench.scene.model import Scene
+from slbench.scene.truth import GroundTruth, Status
+from slbench.score.points import score
+from slbench.simulate.scan import floor_rms_px
+from slbench.simulate.transport import LightTransport, Marginal
+
+#: Why draws are rejected.
+BUILD, VOLUME, DARK = "cannot be built", "outside the volume", "too few lit pixels"
+REJECTIONS = (BUILD, VOLUME, DARK)
+_WRITERS = ("OpenEXR", "matplotlib")
+
+
+class NothingPassesError(Exception):
+    """No draw of a sample met the constraints; another attempt would find the same."""
+
+
+def environment() -> dict[str, Any]:
+    """Return what samples depend on beside the specification.
+
+    Versions of libraries, Mitsuba's variant, and what the libraries make of the processor: the
+    kernels that BLAS and NumPy choose for it.
+
+    Raises
+    ------
+    BackendError
+        If Mitsuba cannot run here.
+    """
+    from slbench.simulate.render.backend.choice import current
+
+    made = provenance({}, None)
+    kept = {name: made[name] for name in ("slbench", "python", "libraries")}
+    # Beside those of any result: the glyphs of coins, and what compresses truth and transport.
+    kept["libraries"] |= {name: importlib.metadata.version(name) for name in _WRITERS}
+    kept["libraries"] |= {"zlib": zlib.ZLIB_RUNTIME_VERSION} | _kernels()
+    return {**kept, "variant": current().variant}
+
+
+def _kernels() -> dict[str, str]:
+    """Return the kernels of linear algebra and of NumPy that serve this processor."""
+    pools = [pool for pool in threadpool_info() if pool["user_api"] == "blas"]
+    blas = {pool["architecture"] for pool in pools if "architecture" in pool}  # MKL says none
+    extensions = np.show_config(mode="dicts")["SIMD Extensions"]  # type: ignore[index]
+    return {
+        "BLAS kernels": " ".join(sorted(blas)),
+        "NumPy kernels": " ".join((*extensions["baseline"], *extensions.get("found", ()))),
+    }
+
+
+def make_sample(
+    specification: Specification,
+    files: Mapping[str, bytes],
+    seed: int,
+    sample: int,
+    *,
+    preview: bool = False,
+    made_with: Mapping[str, Any] | None = None,
+) -> dict[str, bytes]:
+    """Make one sample.
+
+    Parameters
+    ----------
+    specification, files
+        As :func:`slbench.datasets.spec.specification.load` gives them.
+    seed, sample : int
+        Seed of the data set, index of the sample.
+    preview : bool
+        Fewer camera pixels and Monte Carlo samples.
+    made_with : mapping, optional
+        The :func:`environment`, if it is at hand.
+
+    Returns
+    -------
+    dict of str to bytes
+        Its members (:mod:`slbench.datasets.store.sample`).
+
+    Raises
+    ------
+    NothingPassesError
+        If no draw met the constraints.
+    InputError, BackendError
+        If it cannot be rendered or scored.
+    """
+    own_seed = sample_seed(seed, sample)
+    rejected = dict.fromkeys(REJECTIONS, 0)
+    problem = ""
+    for number in range(specification.constraints.max_draws):
+        drawn = draw(specification, seed, sample, number)
+        with tempfile.TemporaryDirectory(prefix="slbench-sample-") as temporary:
+            folder = Path(temporary)
+            try:
+                scene = place_scene(drawn, files, folder, preview)
+            except InputError as error:
+                rejected[BUILD] += 1
+                problem = f"{BUILD} ({error})"
+                continue
+            if specification.constraints.inside_volume and outside_volume(scene):
+                rejected[VOLUME] += 1
+                problem = VOLUME
+                continue
+            truth = _truth(scene)
+            if _too_dark(truth, specification.constraints.min_lit_share):
+                rejected[DARK] += 1
+                problem = DARK
+                continue
+            scores = _measure(specification, scene, truth, own_seed, folder)
+            scores["object"] = _object_hash(scene)
+            write_json(folder / SCORE, scores)
+            record = _record(specification, drawn, own_seed, rejected)
+            write_json(folder / PROVENANCE, {**(made_with or environment()), **record})
+            return from_folder(folder)
+    draws = specification.constraints.max_draws
+    raise NothingPassesError(f"none of {draws} draws met the constraints, the last: {problem}")
+
+
+def _truth(scene: Scene) -> GroundTruth:
+    from slbench.simulate.render.groundtruth import ground_truth
+
+    return ground_truth(scene)
+
+
+def _too_dark(truth: GroundTruth, share: float) -> bool:
+    """Tell whether too few pixels see the first object lit; one is always needed."""
+    seen = int(np.count_nonzero(truth.lit & (truth.object_id == 0)))
+    return seen < max(1.0, share * truth.lit.size)
+
+
+def _measure(
+    specification: Specification, scene: Scene, truth: GroundTruth, seed: int, folder: Path
+) -> dict[str, Any]:
+    """Trace, capture and score; write transport, truth and frames; return the scores."""
+    from slbench.simulate.render.trace import trace
+
+    scenes = {
+        prefix: scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
+        for prefix, patterns in specification.prefixes()
+    }
+    # Frames are made of what is stored, so that anyone can make them again.
+    traced = trace(scene, marginals_of(specification, scene), seed=seed)
+    transport = rounded(traced, specification.weight_bits)
+    if any(block.data.size == 0 for block in transport.marginals.values()):
+        raise InputError("light transport", "light on the object", "none")
+    write_transport(folder / TRANSPORT, transport)
+    truth.save(folder / TRUTH)
+    captures: dict[str, Any] = {}
+    floors: dict[int, float] = {}
+    for prefix, posed in scenes.items():
+        pattern_set, repeat = (int(n) for n in prefix[1:].split("r"))
+        own = capture_seed(seed, pattern_set, repeat)
+        shots = capture(posed, transport, seed=own)
+        write_capture(folder, prefix, shots)
+        with threadpool_limits(1, "blas"):
+            phase = shots.decode()
+            cloud = triangulate(posed.rig, phase)
+            result = score(cloud, truth, phase, posed.objects, posed.rig)
+            if repeat == 0:
+                floors[pattern_set] = floor_rms_px(posed, transport, truth)
+        captures[prefix] = {
+            "patterns": posed.sequence.name,
+            "frames": posed.sequence.n_frames,
+            "seed": own,
+            **result.to_dict(),
+            "floor_rms_px": floors[pattern_set],
+        }
+    return {"statistics": _statistics(transport, truth), "captures": captures}
+
+
+def marginals_of(specification: Specification, scene: Scene) -> tuple[Marginal, ...]:
+    """Return the marginals of the light transport that samples keep."""
+    if specification.marginals:
+        return specification.marginals
+    axes = set(scene.sequence.axes) | {
+        axis for patterns in specification.patterns for axis in patterns.axes
+    }
+    return tuple(axis for axis in ("u", "v") if axis in axes)  # type: ignore[misc]
+
+
+def _statistics(transport: LightTransport, truth: GroundTruth) -> dict[str, Any]:
+    lit = truth.lit
+    depth = truth.depth[lit]
+    return {
+        "lit_pixels": int(np.count_nonzero(lit)),
+        "object_pixels": int(np.count_nonzero(lit & (truth.object_id == 0))),
+        "shadowed_pixels": int(np.count_nonzero(truth.status == Status.SHADOWED)),
+        "depth_min_mm": float(depth.min()),
+        "depth_max_mm": float(depth.max()),
+        "transport_entries": int(sum(rows.data.size for rows in transport.marginals.values())),
+    }
+
+
+def _object_hash(scene: Scene) -> str:
+    """Return a hash of the first object's shape, which tells equal objects."""
+    mesh = scene.objects[0].artefact.mesh
+    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()[:16]
+
+
+def _record(
+    specification: Specification, drawn: Draw, seed: int, rejected: Mapping[str, int]
+) -> dict[str, Any]:
+    parameters = {
+        "specification": specification.name,
+        "kind": drawn.kind,
+        "drawn": drawn.values,
+        "draws": 1 + sum(rejected.values()),
+        "rejected": dict(rejected),
+    }
+    return {"seed": seed, "parameters": parameters}
+
+
+def row_of(sample: int, members: Mapping[str, bytes]) -> dict[str, Any]:
+    """Return a sample's row of the index, but for where it stands.
+
+    The row follows from the members, so an index can be made again from its shards.
+    """
+    scores = json.loads(members[SCORE])
+    record = json.loads(members[PROVENANCE])
+    parameters = record["parameters"]
+    row: dict[str, Any] = {
+        "sample": sample,
+        "key": key(sample),
+        "status": OK,
+        "attempts": 1,
+        "kind": parameters["kind"],
+        "object": scores["object"],
+        "seed": record["seed"],
+        "draws": parameters["draws"],
+        **parameters["drawn"],
+        **{name: scores["statistics"][name] for name in STATISTICS},
+    }
+    for prefix in capture_names(members):
+        result = scores["captures"][prefix]
+        row |= {f"{prefix}_{name}": result[name] for name in SCORES}
+    return row
+
+
+def stamped(row: Mapping[str, Any], content: bytes) -> dict[str, Any]:
+    """Return a row with the size and the hash of the sample's bytes."""
+    return {**row, "size": len(content), "sha256": digest(content)}

@@ -1,0 +1,1 @@
+"""Reading data sets: samples, filters, splits, PyTorch."""

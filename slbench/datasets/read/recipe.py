@@ -1,0 +1,72 @@
+"""What to project on a data set's samples: patterns, detector and noise.
+
+One recipe serves exports and training.  Each sample and epoch has noise of its own, which
+follows from (seed, epoch, sample) and nothing else: not from the order in which samples are
+drawn, nor from how many processes draw them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from slbench.capture.capture import Capture
+from slbench.core.errors import InputError
+from slbench.datasets.read.stored import Sample
+from slbench.detector.emva1288 import Detector
+from slbench.patterns import PatternSequence
+from slbench.patterns.codes import require_whole
+
+Patterns = str | PatternSequence
+#: Patterns for a sample, drawn with the generator.
+Chooser = Callable[[Sample, np.random.Generator], Patterns]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Patterns, detector and noise.
+
+    Parameters
+    ----------
+    patterns : str, PatternSequence, callable or None
+        Text such as ``"1,10,50@4"``; a function that chooses for a sample, with a generator to
+        draw from; None for the first stored capture as it is.
+    detector : Detector, optional
+        Instead of each scene's own.
+    noise : bool
+    seed : int
+    """
+
+    patterns: Patterns | Chooser | None
+    detector: Detector | None = None
+    noise: bool = True
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.patterns is None and self.detector is not None:
+            raise InputError("detector", "patterns to expose with it", "stored frames")
+        require_whole("seed", self.seed, 0)
+
+    def seed_of(self, sample: Sample, epoch: int = 0) -> int:
+        """Return the seed of a sample's noise in an epoch."""
+        sequence = np.random.SeedSequence([self.seed, epoch, sample.number])
+        return int(sequence.generate_state(1)[0])
+
+    def shots(self, sample: Sample, epoch: int = 0) -> Capture:
+        """Return the frames of a sample.
+
+        Raises
+        ------
+        InputError
+            If the sample cannot be read, its light does not carry the patterns, or no frames
+            are stored and no patterns given.
+        """
+        if self.patterns is None:
+            return sample.stored()
+        seed = self.seed_of(sample, epoch)
+        patterns = self.patterns
+        if callable(patterns):
+            patterns = patterns(sample, np.random.default_rng([seed, 3]))
+        return sample.capture(patterns, self.detector, seed, self.noise)

@@ -1,0 +1,251 @@
+"""One sample of a data set: its parts loaded on first use, its light under any patterns.
+
+A sample's bytes are one range of its shard, read, checked against their SHA-256 and unpacked
+when a part of it is first asked for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeVar
+
+from numpy.typing import NDArray
+
+from slbench.capture.capture import MANIFEST as CAPTURE
+from slbench.capture.capture import Capture, capture, exposure
+from slbench.core.errors import InputError
+from slbench.core.io import read_json
+from slbench.datasets.store import sample, shards
+from slbench.datasets.store.storage import Storage
+from slbench.detector.emva1288 import Detector
+from slbench.patterns import PatternSequence
+from slbench.patterns.codes import require_whole
+from slbench.rig import Rig
+from slbench.rig.opencv import read_rig
+from slbench.scene.file import load_scene, load_settings
+from slbench.scene.model import Exposure, Scene
+from slbench.scene.truth import GroundTruth
+from slbench.simulate.transport import LightTransport
+
+T = TypeVar("T")
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """One sample; every part is loaded on first use and kept.
+
+    Parameters
+    ----------
+    storage : Storage
+    row : mapping of str to value
+        Its row of the index.
+    drawn : tuple of str
+        The columns that hold what was drawn.
+    verify : bool
+        Whether its bytes are checked against the SHA-256 of the index.
+    """
+
+    storage: Storage
+    row: Row
+    drawn: tuple[str, ...]
+    verify: bool = True
+
+    @property
+    def number(self) -> int:
+        """Its index in the data set as made, failed samples counted."""
+        return int(self.row["sample"])
+
+    @property
+    def seed(self) -> int:
+        """Seed of its light and first capture: a scan of its scene with it is this sample."""
+        return int(self.row["seed"])
+
+    @property
+    def where(self) -> str:
+        """Shard and key, for messages."""
+        return f"{self.storage.where(self.row['shard'])}: sample {self.row['key']}"
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """What was drawn for it, with the object's ``kind``; nothing that it does not have."""
+        values = {name: self.row[name] for name in ("kind", *self.drawn)}
+        return {name: value for name, value in values.items() if value is not None}
+
+    @cached_property
+    def members(self) -> Mapping[str, bytes]:
+        """The files of the sample by name (:mod:`slbench.datasets.store.sample`).
+
+        Raises
+        ------
+        InputError
+            If the shard is missing or truncated, or the bytes are not those of the index.
+        """
+        size = int(self.row["size"])
+        content = self.storage.read_range(self.row["shard"], int(self.row["offset"]), size)
+        if len(content) != size:
+            expected = f"{size} bytes from byte {self.row['offset']}"
+            raise InputError(self.where, expected, f"{len(content)}, the shard ends there")
+        if self.verify and (found := shards.digest(content)) != self.row["sha256"]:
+            raise InputError(self.where, f"SHA-256 {self.row['sha256']}", found)
+        return shards.unpack(self.number, content, self.where)
+
+    @cached_property
+    def transport(self) -> LightTransport:
+        """Its light transport."""
+        return self._read(sample.TRANSPORT, LightTransport.load)
+
+    @cached_property
+    def truth(self) -> GroundTruth:
+        """Its ground truth."""
+        return self._read(sample.TRUTH, GroundTruth.load)
+
+    @cached_property
+    def rig(self) -> Rig:
+        """Camera and projector."""
+        return self._read(sample.RIG, read_rig)
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The scene with its objects, whose meshes are built or taken from the cache."""
+        return self._read(sample.SCENE, load_scene, beside=True)
+
+    @cached_property
+    def score(self) -> dict[str, Any]:
+        """Statistics, and under ``captures`` the score of each stored capture."""
+        return self._read(sample.SCORE, read_json)
+
+    @cached_property
+    def captures(self) -> tuple[str, ...]:
+        """Names of the stored captures: ``p0r0`` is pattern set 0, repeat 0."""
+        return tuple(sample.capture_names(self.members))
+
+    def stored(self, name: str | None = None) -> Capture:
+        """Return a stored capture.
+
+        Parameters
+        ----------
+        name : str, optional
+            One of :attr:`captures`, by default the first.
+
+        Raises
+        ------
+        InputError
+            If it is not there; a data set may hold light transport alone.
+        """
+        if not self.captures or (name is not None and name not in self.captures):
+            known = ", ".join(self.captures) or "none (Sample.capture makes any)"
+            raise InputError(f"{self.where}: capture", f"one that is stored: {known}", name)
+        prefix = self.captures[0] if name is None else name
+        return self._read(f"{prefix}.{CAPTURE}", Capture.load, beside=True)
+
+    @cached_property
+    def frames(self) -> NDArray[Any]:
+        """Frames of the first stored capture, (N, V, U) uint8 or uint16."""
+        return self.stored().frames
+
+    def capture(
+        self,
+        sequence: PatternSequence | str,
+        detector: Detector | None = None,
+        seed: int = 0,
+        noise: bool = True,
+        *,
+        exposure: Exposure | None = None,
+        gamma: float | None = None,
+    ) -> Capture:
+        """Expose frames of any patterns from the stored light transport.
+
+        They are the frames of a fresh scan with the same patterns, detector and seeds, bit for
+        bit, unless the data set was made with rounded weights.
+
+        Parameters
+        ----------
+        sequence : PatternSequence or str
+            Text such as ``"1,10,50@4"`` codes the panel's columns.
+        detector : Detector, optional
+            The scene's by default.
+        seed : int
+            Of temporal noise and vibration.
+        noise : bool
+            False: the expected frames, rounded once.
+        exposure : Exposure, optional
+            The scene's by default.
+        gamma : float, optional
+            Of the panel, the scene's by default.
+
+        Returns
+        -------
+        Capture
+
+        Raises
+        ------
+        InputError
+            For patterns that the panel or the stored marginals cannot show, a seed that is no
+            whole number from 0, or a scene in which nothing is lit.
+        """
+        require_whole("seed", seed, 0)
+        if not isinstance(sequence, str | PatternSequence):
+            expected = 'text such as "1,10,50@4", or a PatternSequence'
+            raise InputError("patterns", expected, repr(sequence)[:60])
+        scene = self._settings
+        if isinstance(sequence, str):
+            sequence = PatternSequence.parse(sequence, self.transport.panel)
+        changes: dict[str, Any] = {"sequence": sequence}
+        if detector is not None:
+            changes["detector"] = detector
+        if exposure is not None:
+            changes["exposure"] = exposure
+        if gamma is not None:
+            projector = replace(scene.rig.projector, gamma=gamma)
+            changes["rig"] = replace(scene.rig, projector=projector)
+        light = self._light if detector is None and exposure is None else None
+        scene = replace(scene, **changes)
+        return capture(scene, self.transport, seed=seed, noise=noise, light=light)
+
+    def ready(self) -> Sample:
+        """Load what :meth:`capture` needs, and return the sample: for :meth:`Dataset.ahead`."""
+        _ = self.transport, self._settings, self._light
+        return self
+
+    @cached_property
+    def _settings(self) -> Scene:
+        """The scene without its objects: all that an exposure from transport needs."""
+        kept = {sample.SCENE: self.member(sample.SCENE), sample.RIG: self.member(sample.RIG)}
+        with self._blamed(sample.SCENE), sample.unpacked(kept) as folder:
+            return load_settings(folder / sample.SCENE)
+
+    @cached_property
+    def _light(self) -> tuple[float, float]:
+        """Photons per unit radiance and exposure time with the scene's own detector."""
+        return exposure(self._settings, self.transport)
+
+    def member(self, name: str) -> bytes:
+        """Return the content of one of the sample's files.
+
+        Raises
+        ------
+        InputError
+            If the sample has no such file.
+        """
+        if name not in self.members:
+            raise InputError(f"{self.where}: {name}", "this file in the shard", "none")
+        return self.members[name]
+
+    def _read(self, name: str, load: Callable[[Path], T], beside: bool = False) -> T:
+        """Load a file with the package's own reader, other files beside it where it needs them."""
+        wanted = {name: self.member(name)}
+        with self._blamed(name), sample.unpacked(self.members if beside else wanted) as folder:
+            return load(folder / name)
+
+    @contextmanager
+    def _blamed(self, name: str) -> Iterator[None]:
+        """Let an error name the sample and its file, not where that was unpacked."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(f"{self.where}: {name}", error.expected, error.got) from None

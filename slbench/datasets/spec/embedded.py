@@ -1,0 +1,112 @@
+"""The files that a specification's objects name, taken into the data set.
+
+An artefact's file becomes a kind with its parameters; a mesh gets a name of its own among the
+files of the data set, equal content one name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.core.io import read_toml
+from slbench.core.validation import shown
+from slbench.objects import KINDS
+
+
+def embedded(
+    table: dict[str, Any], path: Path, where: str, files: dict[str, bytes]
+) -> dict[str, Any]:
+    """Return an object's table with the artefact's and the mesh's files taken in.
+
+    Parameters
+    ----------
+    table : dict
+        An object of a scene, values drawn or not.
+    path : Path
+        The specification, whose folder the files stand in.
+    where : str
+        The table's place in it, for messages.
+    files : dict of str to bytes
+        Of the data set; gets the meshes.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read, or is no artefact's.
+    """
+    table = dict(table)
+    artefact = table.get("artefact")
+    if isinstance(artefact, str) and (artefact.endswith(".toml") or "/" in artefact):
+        try:
+            source = resources.inside(path.parent, artefact)
+        except InputError as error:
+            at = f"{path.name}: {where}.artefact"
+            raise InputError(at, error.expected, error.got) from None
+        content = read_toml(source)
+        del table["artefact"]
+        parameters = content.get("parameters", {})
+        if not isinstance(parameters, dict):
+            raise InputError(f"{artefact}: parameters", "a table", shown(parameters))
+        if not isinstance(content.get("kind"), str):
+            expected = f"one of {', '.join((*KINDS, 'mesh'))}"
+            raise InputError(f"{artefact}: kind", expected, shown(content.get("kind")))
+        parameters = dict(parameters)
+        if content["kind"] == "mesh":
+            parameters["mesh"] = parameters.pop("path", None)
+            table.update(parameters)
+            path = source
+        else:
+            table["kind"], table["parameters"] = content["kind"], parameters
+    mesh = table.get("mesh")
+    if isinstance(mesh, str):
+        table["mesh"] = _mesh(path, mesh, where, files)
+    elif isinstance(mesh, dict) and all(isinstance(m, str) for m in mesh.get("choice", [0])):
+        choice = [_mesh(path, name, where, files) for name in mesh["choice"]]
+        table["mesh"] = {**mesh, "choice": choice}
+    elif mesh is not None:
+        raise InputError(f"{path.name}: {where}.mesh", "a file, or a choice of files", repr(mesh))
+    return table
+
+
+def _mesh(path: Path, name: str, where: str, files: dict[str, bytes]) -> str:
+    """Take a mesh file in and return its name in the data set."""
+    content = content_of(path, name, f"{where}.mesh")
+    stem = re.sub(r"[^A-Za-z0-9_-]", "-", Path(name).stem)[:40]
+    suffix = Path(name).suffix.lower()
+    flat, k = f"mesh.{stem}{suffix}", 1
+    while files.get(flat, content) != content:
+        k += 1
+        flat = f"mesh.{stem}-{k}{suffix}"
+    files[flat] = content
+    return flat
+
+
+def mesh_names(mesh: Any) -> list[str]:
+    """Return the files in the data set that an object's ``mesh`` may be."""
+    if isinstance(mesh, Mapping):
+        return list(mesh["choice"])
+    return [] if mesh is None else [mesh]
+
+
+def content_of(path: Path, name: Any, where: str) -> bytes:
+    """Return the content of a file that stands beside the specification.
+
+    Raises
+    ------
+    InputError
+        If it is no file there, or leads out of that folder.
+    """
+    where = f"{path.name}: {where}"
+    if not isinstance(name, str):
+        raise InputError(where, "a file", repr(name))
+    try:
+        return resources.inside(path.parent, name).read_bytes()
+    except InputError as error:
+        raise InputError(where, error.expected, error.got) from None
+    except OSError as error:
+        raise InputError(where, "a file that can be read", error.strerror) from None

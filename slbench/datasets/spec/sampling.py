@@ -1,0 +1,246 @@
+"""From a specification to the scene of one sample: draws, and what they must meet.
+
+A draw depends on the specification, the seed, the sample's index and the number of the draw
+alone.  What is drawn is put into the scene's tables, so that the scene file of a sample is
+complete and loads like any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slbench.core.errors import InputError
+from slbench.core.io import plain, write_toml
+from slbench.datasets.spec.distributions import Distribution, column, find, put, stream
+from slbench.datasets.spec.specification import Specification
+from slbench.datasets.store.sample import RIG, SCENE
+from slbench.datasets.store.shards import key
+from slbench.rig.opencv import write_rig
+from slbench.scene.file import load_scene, load_settings
+from slbench.scene.model import Scene
+
+#: Width and Monte Carlo samples of a preview, where the scene does not say.
+_PREVIEW_WIDTH, _PREVIEW_SAMPLES = 320, 16
+#: Draws of an object that are tried at least before it is refused, and how often the same error may
+#: come in succession.
+_TRIED, _SAME = 100, 10
+_OUTSIDE = "an object outside the measurement volume"
+
+
+@dataclass(frozen=True)
+class Draw:
+    """What was drawn once for a sample.
+
+    Parameters
+    ----------
+    kind : str or None
+        Name of the drawn object; None where the specification has none to choose from.
+    values : dict
+        By column of the index.
+    table : dict
+        Content of the scene file, with its settings of a preview.
+    """
+
+    kind: str | None
+    values: dict[str, Any]
+    table: dict[str, Any]
+
+
+def sample_seed(seed: int, sample: int) -> int:
+    """Return the seed of a sample's light and of its first capture."""
+    return int(np.random.SeedSequence([seed, sample]).generate_state(1)[0])
+
+
+def capture_seed(of_sample: int, pattern_set: int, repeat: int) -> int:
+    """Return the seed of a capture; the first one has the sample's own."""
+    if (pattern_set, repeat) == (0, 0):
+        return of_sample
+    return int(np.random.SeedSequence([of_sample, pattern_set, repeat]).generate_state(1)[0])
+
+
+def draw(
+    specification: Specification,
+    seed: int,
+    sample: int,
+    number: int = 0,
+    *,
+    kind: int | None = None,
+) -> Draw:
+    """Draw the parameters of a sample.
+
+    Parameters
+    ----------
+    specification : Specification
+        Resolved.
+    seed, sample : int
+    number : int
+        Which draw: 0, and further ones where constraints were not met.
+    kind : int, optional
+        Index of the object, instead of a drawn one.
+
+    Returns
+    -------
+    Draw
+    """
+    table: dict[str, Any] = plain(specification.scene)
+    name = None
+    if specification.objects:
+        names = tuple(range(len(specification.objects)))
+        if kind is None:
+            choice = Distribution(choice=names, weights=specification.weights())
+            # Once a sample: what is rejected must not change how often a kind comes.  No column has
+            # this stream, its name is no word.
+            kind = int(choice.draw(stream(seed, sample, 0, "[objects]")))
+        chosen = plain(specification.objects[kind])
+        name = chosen.pop("name")
+        del chosen["weight"]
+        table["objects"] = [chosen, *table.get("objects", [])]
+    values: dict[str, Any] = {}
+    for place, distribution in list(find(table, specification.name)):
+        label = column(place, distribution)
+        values[label] = distribution.draw(stream(seed, sample, number, label))
+        put(table, place, values[label])
+    table["name"] = f"{specification.name}-{key(sample)}"
+    return Draw(name, values, table)
+
+
+def _coarsen(table: dict[str, Any], width: int, settings: Mapping[str, Any]) -> int:
+    """Give a valid scene fewer, larger pixels and fewer samples, as ``Scene.coarser`` does.
+
+    Returns the divisor; a camera that stands in the rig's file is left as it is.
+    """
+    samples = settings.get("samples", _PREVIEW_SAMPLES)
+    table["render"] = {**table.get("render", {}), "samples": samples}
+    divisor = int(settings.get("divisor") or max(1, -(-width // _PREVIEW_WIDTH)))
+    camera = table.get("camera")
+    if camera is None:
+        return divisor
+    width, height = camera["resolution_px"]
+    pitch = camera["pitch_um"]
+    pitches = pitch if isinstance(pitch, list) else [pitch, pitch]
+    camera["resolution_px"] = [max(width // divisor, 1), max(height // divisor, 1)]
+    camera["pitch_um"] = [p * divisor for p in pitches]
+    u, v = camera.get("principal_point_px", [(width - 1) / 2, (height - 1) / 2])
+    camera["principal_point_px"] = [(u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5]
+    return divisor
+
+
+def place_scene(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool) -> Scene:
+    """Write a draw's scene to a folder, with the files that it names, and load it.
+
+    Parameters
+    ----------
+    drawn : Draw
+    files : mapping of str to bytes
+        Of the specification.
+    folder : Path
+        Empty; gets ``scene.toml``, ``rig.yaml`` and the meshes that the scene names.
+    preview : bool
+        Fewer camera pixels and Monte Carlo samples.
+
+    Raises
+    ------
+    InputError
+        If what was drawn makes no scene; it names files as they are called in `folder`.
+    """
+    try:
+        return _placed(drawn, files, folder, preview)
+    except InputError as error:
+        # Where the folder stands is nothing to the user, and another one each time.
+        said = (error.where, error.expected, str(error.got))
+        raise InputError(*(text.replace(f"{folder}/", "") for text in said)) from None
+
+
+def _placed(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool) -> Scene:
+    wanted = {table["mesh"] for table in drawn.table["objects"] if "mesh" in table}
+    from_file = "file" in drawn.table["rig"]
+    for name in (*sorted(wanted), *([RIG] if from_file else [])):
+        (folder / name).write_bytes(files[name])
+    table, divisor = plain(drawn.table), 1
+    if preview:
+        # All but the objects, which cost most, is checked before it is reckoned with.
+        write_toml(folder / SCENE, table)
+        width = load_settings(folder / SCENE).rig.camera.width
+        divisor = _coarsen(table, width, table.get("preview", {}))
+    table.pop("preview", None)
+    write_toml(folder / SCENE, table)
+    scene = load_scene(folder / SCENE)
+    if from_file and preview:
+        scene = scene.coarser(divisor, scene.samples)
+    write_rig(folder / RIG, scene.rig)
+    return scene
+
+
+def outside_volume(scene: Scene) -> bool:
+    """Tell whether the first object sticks out of the measurement volume."""
+    item = scene.objects[0]
+    placed = item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
+    half = 0.5 * np.array(scene.rig.volume_mm)
+    return bool(np.any(np.abs(placed.bounds) > half))
+
+
+def check(
+    specification: Specification, files: Mapping[str, bytes], seed: int, preview: bool, folder: Path
+) -> None:
+    """Check that every object can be drawn and its scene built, without rendering.
+
+    Parameters
+    ----------
+    specification, files
+        As :func:`slbench.datasets.spec.specification.load` gives them.
+    seed : int
+    preview : bool
+    folder : Path
+        To work in; subfolders are made.
+
+    Raises
+    ------
+    InputError
+        If no draw makes a scene that a sample can have, saying what is wrong with the last.
+    """
+    kinds: tuple[int | None, ...] = tuple(range(len(specification.objects))) or (None,)
+    # As many as several samples have: that few draws fail says little of the others'.
+    draws = max(specification.constraints.max_draws, _TRIED)
+    for kind in kinds:
+        problems: list[str] = []
+        for number in range(draws):
+            drawn = draw(specification, seed, 0, number, kind=kind)
+            place = folder / f"{kind}-{number}"
+            place.mkdir()
+            problem = _problem(specification, drawn, files, place, preview)
+            if problem is None:
+                break
+            problems.append(problem)
+            # What depends on the draw says so; what does not will not come right.
+            if problem != _OUTSIDE and problems[-_SAME:] == [problem] * _SAME:
+                break
+        if problem is not None:
+            what = "scene" if kind is None else f"objects[{kind}] ({drawn.kind})"
+            expected = f"a draw of {len(problems)} that makes a sample"
+            for name in files:  # as the user calls them
+                problem = problem.replace(name, name.removeprefix("mesh."))
+            raise InputError(f"{specification.name}: {what}", expected, f"none: {problem}")
+
+
+def _problem(
+    specification: Specification,
+    drawn: Draw,
+    files: Mapping[str, bytes],
+    folder: Path,
+    preview: bool,
+) -> str | None:
+    """Return why a draw cannot make a sample, None if it may."""
+    try:
+        scene = place_scene(drawn, files, folder, preview)
+        for patterns in specification.patterns:
+            scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
+    except InputError as error:
+        return str(error)
+    if specification.constraints.inside_volume and outside_volume(scene):
+        return _OUTSIDE
+    return None

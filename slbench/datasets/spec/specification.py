@@ -1,0 +1,352 @@
+"""Specifications of data sets: TOML files that say what is drawn.
+
+A specification holds a scene in which a distribution may stand for any value, the objects of
+which one is drawn, the patterns whose frames are rendered, and what a draw must meet::
+
+    name = "blocks"
+    licence = "CC0-1.0"
+
+    [scene]                       # as a scene file
+    extends = "hardware/macro-ch6"
+    [scene.exposure]
+    white_level = { uniform = [0.5, 0.9] }
+    [scene.rig]
+    alpha_p_deg = { normal = [0.0, 0.1], add = true }    # around the base's
+
+    [[objects]]                   # as an object of a scene, with a name and a weight
+    name = "block"
+    weight = 2
+    kind = "step_block"
+    [objects.parameters]
+    heights_mm = [{ uniform = [1.0, 5.0] }]
+    step_length_mm = 10.0
+    width_mm = 20.0
+
+    [[patterns]]                  # none: light transport alone
+    sequence = "1,10,50"
+    repeats = 2
+
+    [constraints]
+    inside_volume = true
+    min_lit_share = 0.05
+
+:func:`load` resolves everything that stands in other files, so that what a data set keeps
+(in ``dataset.json``, and meshes in ``files/``) is complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.core.io import plain, read_toml
+from slbench.core.validation import Parameters, shown, validated
+from slbench.datasets.spec.distributions import (
+    Distribution,
+    column,
+    find,
+    get,
+    is_distribution,
+    put,
+    written,
+)
+from slbench.datasets.spec.distributions import Path as Place
+from slbench.datasets.spec.embedded import content_of, embedded, mesh_names
+from slbench.datasets.store.index import columns
+from slbench.datasets.store.sample import EXACT_BITS, RIG, capture_prefix
+from slbench.objects import KINDS
+from slbench.scene.file import extended
+
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+#: Keys of a drawn object that are not those of an object in a scene.
+_OWN = ("name", "weight")
+_SHIPPED = "datasets"
+#: Tables of a scene that are looked into before it is loaded.
+_TABLES = ("rig", "camera", "render", "preview")
+
+
+class Patterns(Parameters):
+    """A pattern sequence whose frames are rendered `repeats` times."""
+
+    sequence: str
+    shifts: Annotated[int, Field(ge=3)] = 3
+    axes: Literal["u", "v", "uv"] = "u"
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
+
+
+class Constraints(Parameters):
+    """What a draw must meet, or it is drawn again, at most `max_draws` times.
+
+    Parameters
+    ----------
+    inside_volume : bool
+        The drawn object lies in the measurement volume.
+    min_lit_share : float
+        Share of the camera's pixels that see the drawn object lit; one pixel at least.
+    max_draws : int
+    """
+
+    inside_volume: bool = False
+    min_lit_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    max_draws: Annotated[int, Field(ge=1, le=10_000)] = 100
+
+
+class Specification(Parameters):
+    """A specification, as read or resolved.
+
+    Parameters
+    ----------
+    name, description, licence : str
+    scene : dict
+        Content of a scene file; its objects stand beside the drawn one, after it.
+    objects : tuple of dict
+        Of which one is drawn a sample: keys of an object in a scene, ``name``, ``weight``.
+        Without any, the first of the scene's own is the sample's object.
+    patterns : tuple of Patterns
+        Whose frames are rendered; the index is the p of ``p0r0``.
+    constraints : Constraints
+    marginals : tuple of {"u", "v", "uv"}, optional
+        Of the light transport; by default the axes that the patterns code.
+    weight_bits : int
+        Bits of mantissa that the transport's weights keep; 23 are all.
+    samples_per_shard : int
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=60)]
+    description: str = ""
+    licence: Annotated[str, Field(min_length=1)] = "not stated"
+    scene: dict[str, Any]
+    objects: tuple[dict[str, Any], ...] = ()
+    patterns: tuple[Patterns, ...] = ()
+    constraints: Constraints = Constraints()
+    marginals: tuple[Literal["u", "v", "uv"], ...] | None = None
+    weight_bits: Annotated[int, Field(ge=1, le=EXACT_BITS)] = EXACT_BITS
+    samples_per_shard: Count = 64
+
+    @model_validator(mode="after")
+    def _distinct(self) -> Specification:
+        if self.marginals is not None and len(set(self.marginals)) != max(1, len(self.marginals)):
+            raise ValueError("marginals, each once")
+        return self
+
+    def kinds(self) -> tuple[str, ...]:
+        """Return the names of the objects that are drawn from."""
+        return tuple(table["name"] for table in self.objects)
+
+    def weights(self) -> tuple[float, ...]:
+        """Return their weights."""
+        return tuple(float(table["weight"]) for table in self.objects)
+
+    def distributions(self) -> Iterator[tuple[Place, Distribution]]:
+        """Yield every distribution; its place starts with ``scene`` or ``objects``, index."""
+        yield from find(self.scene, self.name, ("scene",))
+        yield from find(self.objects, self.name, ("objects",))
+
+    def drawn_columns(self) -> dict[str, str]:
+        """Return the index column of each distribution and its type.
+
+        Raises
+        ------
+        InputError
+            If two that can be drawn together share a name, or two of a name differ in type.
+        """
+        types: dict[str, str] = {}
+        owners: dict[str, set[Any]] = {}
+        for place, distribution in self.distributions():
+            name = column(place, distribution)
+            # Objects exclude each other: what two of them have is one column.
+            owner = place[1] if place[0] == "objects" else None
+            others = owners.setdefault(name, set())
+            if owner in others or (others and (owner is None or None in others)):
+                where = f"{self.name}: {written(place)}"
+                raise InputError(where, f"a name other than {name} (name = ...)", "a second one")
+            others.add(owner)
+            kind = distribution.type
+            before = types.setdefault(name, kind)
+            if before != kind:
+                if "string" in (before, kind):
+                    raise InputError(f"{self.name}: {written(place)}", f"{before}, as before", kind)
+                types[name] = "double"
+        return types
+
+    def prefixes(self) -> list[tuple[str, Patterns]]:
+        """Return the prefix of every capture and its patterns."""
+        return [
+            (capture_prefix(k, repeat), patterns)
+            for k, patterns in enumerate(self.patterns)
+            for repeat in range(patterns.repeats)
+        ]
+
+    def columns(self) -> dict[str, str]:
+        """Return all columns of the index and their types."""
+        return columns(self.drawn_columns(), [prefix for prefix, _ in self.prefixes()])
+
+    def files(self) -> set[str]:
+        """Return the names of the files that the resolved specification refers to."""
+        names = {RIG} if self.scene.get("rig", {}).get("file") else set()
+        for table in (*self.objects, *self.scene.get("objects", ())):
+            names.update(mesh_names(table.get("mesh")))
+        return names
+
+
+def load(name_or_path: str | Path) -> tuple[Specification, dict[str, bytes]]:
+    """Load a specification and everything that it refers to.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A file, or the name of a shipped one such as ``"mixed"``.
+
+    Returns
+    -------
+    specification : Specification
+        Complete: no ``extends``, no file but those of the second value.
+    files : dict of str to bytes
+        Meshes, and the rig where the scene reads one.
+
+    Raises
+    ------
+    InputError
+        Naming the file and the first key that cannot be used.
+    """
+    path = _find(name_or_path)
+    content = read_toml(path)
+    for key in ("scene", "objects"):
+        # Ahead of the model, which cannot look into what it does not know.
+        list(find(content.get(key, {}), path.name, (key,)))
+    read = validated(Specification, content, path.name, separator=": ")
+    files: dict[str, bytes] = {}
+    own = plain(read.scene)
+    scene = extended(own, path)
+    if "extends" in own:
+        _with_bases(scene, extended({"extends": own["extends"]}, path), f"{path.name}: scene")
+    if "focus" in scene:
+        expected = "no focus settings (a sample has one light transport)"
+        raise InputError(f"{path.name}: scene.focus", expected, "some")
+    _check_tables(scene, f"{path.name}: scene")
+    rig_file = scene["rig"].get("file")
+    if rig_file is not None:
+        files[RIG] = content_of(path, rig_file, "scene.rig.file")
+        scene["rig"] = {**scene["rig"], "file": RIG}
+    if "objects" in scene:
+        scene["objects"] = [
+            embedded(table, path, f"scene.objects[{k}]", files)
+            for k, table in enumerate(_tables(scene["objects"], f"{path.name}: scene.objects"))
+        ]
+    objects = []
+    for k, table in enumerate(read.objects):
+        objects.append(_object(plain(table), path, f"objects[{k}]", files))
+    names = [table["name"] for table in objects]
+    if len(set(names)) != len(names):
+        raise InputError(f"{path.name}: objects", "a name of its own for each", names)
+    values = read.model_dump() | {"scene": scene, "objects": objects}
+    resolved = validated(Specification, values, path.name, separator=": ")
+    if not objects and not scene.get("objects"):
+        raise InputError(f"{path.name}: objects", "one object at least", "none")
+    for place, distribution in resolved.distributions():
+        if distribution.add and distribution.base is None:
+            where = f"{path.name}: {written(place)}"
+            raise InputError(where, "base = ..., to add to", "none")
+    resolved.columns()
+    _check_marginals(resolved, path.name)
+    return resolved, files
+
+
+def _check_tables(scene: Mapping[str, Any], where: str) -> None:
+    """Refuse a scene without a rig, or something else in the place of a table."""
+    if "rig" not in scene:
+        raise InputError(f"{where}.rig", "a table, here or in a scene that it extends", "none")
+    for key in _TABLES:
+        table = scene.get(key, {})
+        if not isinstance(table, dict) or is_distribution(table):
+            raise InputError(f"{where}.{key}", "a table", shown(table))
+
+
+def _check_marginals(specification: Specification, where: str) -> None:
+    """Refuse patterns that could not be exposed from the marginals that are kept."""
+    kept = specification.marginals
+    for k, patterns in enumerate(specification.patterns):
+        for axis in patterns.axes:
+            if kept and axis not in kept:
+                expected = f"{axis!r} too, which patterns[{k}] code"
+                raise InputError(f"{where}: marginals", expected, ", ".join(kept))
+
+
+def from_dict(values: Mapping[str, Any], where: str) -> Specification:
+    """Return the specification that a data set holds in ``dataset.json``."""
+    return validated(Specification, values, where)
+
+
+def _find(name_or_path: str | Path) -> Path:
+    if Path(name_or_path).is_file():
+        return Path(name_or_path)
+    try:
+        return resources.find("scenes", f"{_SHIPPED}/{name_or_path}")
+    except InputError as error:
+        known = ", ".join(shipped())
+        expected = f"a path to a file or one of {known}"
+        raise InputError("specification", expected, repr(str(name_or_path))) from error
+
+
+def shipped() -> list[str]:
+    """Return the names of the shipped specifications."""
+    folder = resources.find("scenes", resources.names("scenes")[0]).parent / _SHIPPED
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def _object(
+    table: dict[str, Any], path: Path, where: str, files: dict[str, bytes]
+) -> dict[str, Any]:
+    """Return a drawn object with its name and weight, checked, its files embedded."""
+    weight = table.get("weight", 1.0)
+    if type(weight) not in (int, float) or not 0.0 < weight < float("inf"):
+        raise InputError(f"{path.name}: {where}.weight", "a positive number", repr(weight))
+    kind = table.get("kind")
+    if kind is not None and not isinstance(kind, str):
+        expected = "the name of one (to draw from several: a table [[objects]] for each)"
+        raise InputError(f"{path.name}: {where}.kind", expected, shown(kind))
+    default = next((table[way] for way in ("kind", "artefact", "mesh") if way in table), None)
+    name = table.get("name", default)
+    if not isinstance(name, str) or not name:
+        raise InputError(f"{path.name}: {where}.name", "a name", repr(name))
+    inner = {key: value for key, value in table.items() if key not in _OWN}
+    complete = embedded(inner, path, where, files)
+    kind = complete.get("kind")
+    if kind is not None:
+        if kind not in KINDS:
+            raise InputError(f"{path.name}: {where}.kind", f"one of {', '.join(KINDS)}", repr(kind))
+        known = KINDS[kind].parameters.model_fields
+        parameters = complete.get("parameters", {})
+        if not isinstance(parameters, dict) or is_distribution(parameters):
+            expected = f"a table with {', '.join(known)}"
+            raise InputError(f"{path.name}: {where}.parameters", expected, shown(parameters))
+        for key in parameters:
+            if key not in known:
+                at = f"{path.name}: {where}.parameters"
+                raise InputError(at, f"one of the keys {', '.join(known)}", repr(key))
+    return {"name": name, "weight": weight, **complete}
+
+
+def _tables(value: Any, where: str) -> list[dict[str, Any]]:
+    if not isinstance(value, list) or not all(isinstance(item, dict) for item in value):
+        raise InputError(where, "tables", repr(value)[:60])
+    return value
+
+
+def _with_bases(scene: dict[str, Any], base: dict[str, Any], where: str) -> None:
+    """Put the base scene's numbers where jitters are added to them, in place."""
+    for place, distribution in list(find(scene, where)):
+        if not distribution.add or distribution.base is not None:
+            continue
+        number = get(base, place)
+        if type(number) not in (int, float):
+            expected = "a number in the scene that it extends, to add to (or base = ...)"
+            raise InputError(f"{where}.{written(place)}", expected, repr(number))
+        put(scene, place, {**get(scene, place), "base": number})

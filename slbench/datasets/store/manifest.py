@@ -1,0 +1,174 @@
+"""``dataset.json``: what a data set is, written before its first sample and never changed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+from slbench.core.errors import InputError
+from slbench.core.io import plain
+from slbench.core.validation import shown, validated
+from slbench.datasets.spec.specification import Patterns, Specification
+from slbench.datasets.store.index import FIXED
+from slbench.datasets.store.shards import is_member
+from slbench.datasets.store.storage import Storage
+
+#: Name of the file in a data set.
+MANIFEST = "dataset.json"
+#: Version of the layout.
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """What a data set is.
+
+    Parameters
+    ----------
+    name, description, licence : str
+    seed, count : int
+        Sample i follows from the specification, the seed and i.
+    preview : bool
+        Whether samples have the coarse camera of a preview.
+    samples_per_shard : int
+        Samples k n to (k + 1) n - 1 stand in shard k, without those that failed.
+    captures : dict
+        Prefix of each capture to its patterns, as the specification has them.
+    columns : dict
+        Columns of the index and their Arrow types.
+    drawn : tuple of str
+        The columns that hold what was drawn.
+    environment : dict
+        Versions and Mitsuba's variant that all samples are made with.
+    specification : dict
+        The specification with its base scene, complete.
+    files : dict
+        Names of the files that it refers to, in ``files/``, and their SHA-256.
+    format : int
+    """
+
+    name: str
+    description: str
+    licence: str
+    seed: int
+    count: int
+    preview: bool
+    samples_per_shard: int
+    captures: dict[str, Any]
+    columns: dict[str, str]
+    drawn: tuple[str, ...]
+    environment: dict[str, Any]
+    specification: dict[str, Any]
+    files: dict[str, str] = field(default_factory=dict)
+    format: int = FORMAT
+
+    @property
+    def shards(self) -> int:
+        """Number of shards."""
+        return -(-self.count // self.samples_per_shard)
+
+    def shard_of(self, sample: int) -> int:
+        """Return the shard that a sample belongs to."""
+        return sample // self.samples_per_shard
+
+    def samples_of(self, shard: int) -> range:
+        """Return the samples that belong to a shard."""
+        first = shard * self.samples_per_shard
+        return range(first, min(first + self.samples_per_shard, self.count))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        values: dict[str, Any] = plain(asdict(self))
+        return values
+
+    def save(self, storage: Storage) -> None:
+        """Write ``dataset.json``."""
+        text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+        storage.write(MANIFEST, (text + "\n").encode())
+
+    @classmethod
+    def load(cls, storage: Storage) -> Manifest:
+        """Read ``dataset.json``.
+
+        Raises
+        ------
+        InputError
+            If there is none, it is damaged, or of another version; names the key at fault.
+        """
+        where = storage.where(MANIFEST)
+        try:
+            values = json.loads(storage.read(MANIFEST))
+        except ValueError as error:
+            raise InputError(where, "a JSON file", error) from None
+        found = values.get("format") if isinstance(values, dict) else None
+        if found != FORMAT:
+            raise InputError(f"{where}: format", str(FORMAT), repr(found))
+        try:
+            manifest = cls(**values)
+        except TypeError as error:
+            raise InputError(where, "the keys of a data set", error) from None
+        for name, kind in _KINDS.items():
+            value = getattr(manifest, name)
+            if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
+                raise InputError(f"{where}: {name}", kind.__name__, shown(value))
+        _check_parts(manifest, where)
+        return replace(manifest, drawn=tuple(manifest.drawn))
+
+
+def described(specification: Specification) -> dict[str, Any]:
+    """Return what of a manifest follows from the specification, by key."""
+    return {
+        "name": specification.name,
+        "description": specification.description,
+        "licence": specification.licence,
+        "samples_per_shard": specification.samples_per_shard,
+        "captures": {p: patterns.model_dump() for p, patterns in specification.prefixes()},
+        "columns": specification.columns(),
+        "drawn": tuple(specification.drawn_columns()),
+    }
+
+
+def _check_parts(manifest: Manifest, where: str) -> None:
+    """Refuse numbers out of range, and tables that do not hold what they should."""
+    for name, least in (("seed", 0), ("count", 1), ("samples_per_shard", 1)):
+        if getattr(manifest, name) < least:
+            raise InputError(f"{where}: {name}", f"{least} or more", getattr(manifest, name))
+    for prefix, patterns in manifest.captures.items():
+        validated(Patterns, patterns, f"{where}: captures.{prefix}")
+    for name, kind in manifest.columns.items():
+        if kind not in _TYPES:
+            raise InputError(f"{where}: columns.{name}", f"one of {', '.join(_TYPES)}", shown(kind))
+    for name, kind in FIXED.items():
+        if manifest.columns.get(name) != kind:
+            found = manifest.columns.get(name, "none")
+            raise InputError(f"{where}: columns.{name}", kind, found)
+    for name in manifest.drawn:
+        if not isinstance(name, str) or name not in manifest.columns:
+            raise InputError(f"{where}: drawn", "names of columns", shown(name))
+    for name, digest in manifest.files.items():
+        if not is_member(name) or not isinstance(digest, str):
+            raise InputError(f"{where}: files", "plain names and SHA-256", shown({name: digest}))
+    libraries = manifest.environment.get("libraries", {})
+    if not isinstance(libraries, Mapping):
+        raise InputError(f"{where}: environment.libraries", "a table of versions", shown(libraries))
+
+
+#: Arrow types that a column may have.
+_TYPES = ("int64", "double", "string")
+_KINDS: dict[str, type] = {
+    "name": str,
+    "description": str,
+    "licence": str,
+    "seed": int,
+    "count": int,
+    "preview": bool,
+    "samples_per_shard": int,
+    "captures": dict,
+    "columns": dict,
+    "drawn": list,
+    "environment": dict,
+    "specification": dict,
+    "files": dict,
+}

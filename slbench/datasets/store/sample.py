@@ -1,0 +1,142 @@
+"""What one sample holds: the files that a scan leaves, as named members.
+
+``scene.toml``
+    The complete scene; a mesh that it names stands beside it.
+``rig.yaml``, ``transport.npz``, ``truth.exr``
+    As :func:`slbench.simulate.folder.write_scan` writes them; the transport is deflated.
+``score.json``
+    Statistics of the sample, and the score of each capture.
+``provenance.json``
+    Versions, seed and drawn parameters; no time, no machine.
+``p0r0.capture.toml``, ``p0r0.frame.000.png``, ...
+    The frames of pattern set 0, repeat 0, and their manifest, for every set and repeat.
+
+Names are flat, so a sample's members written to one folder are files that every reader of the
+package takes as they are: ``load_scene(folder / "scene.toml")``,
+``Capture.load(folder / "p0r0.capture.toml")``.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from slbench.capture.capture import MANIFEST, Capture
+from slbench.core.errors import InputError
+from slbench.core.io import read_toml, write_toml
+from slbench.simulate.transport import LightTransport
+
+SCENE = "scene.toml"
+RIG = "rig.yaml"
+TRANSPORT = "transport.npz"
+TRUTH = "truth.exr"
+SCORE = "score.json"
+PROVENANCE = "provenance.json"
+#: What every sample has.
+REQUIRED = (SCENE, RIG, TRANSPORT, TRUTH, SCORE, PROVENANCE)
+
+_CAPTURE = re.compile(r"(p[0-9]+r[0-9]+)\.capture\.toml")
+#: Bits of a float32's mantissa: with all of them the stored weights are the traced ones.
+EXACT_BITS = 23
+#: What is left of an array of the transport at most, for it to be worth deflating, and how many
+#: of its first bytes are tried.
+_DEFLATED = 0.75
+_PROBED = 1 << 18
+
+
+def capture_prefix(pattern_set: int, repeat: int) -> str:
+    """Return what the members of one capture start with, e.g. ``"p0r0"``."""
+    return f"p{pattern_set}r{repeat}"
+
+
+def capture_names(members: Iterable[str]) -> list[str]:
+    """Return the prefixes of the captures among a sample's members, in order."""
+    found = [match[1] for name in members if (match := _CAPTURE.fullmatch(name))]
+    return sorted(found, key=lambda prefix: [int(n) for n in prefix[1:].split("r")])
+
+
+def write_capture(folder: Path, prefix: str, shots: Capture) -> None:
+    """Write a capture's frames and manifest under flat names; the rig is the sample's."""
+    with tempfile.TemporaryDirectory(dir=folder) as temporary:
+        shots.save(temporary)
+        manifest = read_toml(Path(temporary) / MANIFEST)
+        names = [f"{prefix}.frame.{k:03d}.png" for k in range(len(shots.frames))]
+        for written, name in zip(manifest["frames"], names, strict=True):
+            (Path(temporary) / written).rename(folder / name)
+        manifest["frames"] = names
+        write_toml(folder / f"{prefix}.{MANIFEST}", manifest)
+
+
+def rounded(transport: LightTransport, bits: int) -> LightTransport:
+    """Return light transport with its weights rounded to `bits` of mantissa.
+
+    Rounding keeps the nearest of the numbers with `bits` explicit bits, a relative error of at
+    most ``2**-(bits + 1)``; the zeros behind them deflate away.
+
+    Parameters
+    ----------
+    transport : LightTransport
+    bits : int
+        From 1 to 23; 23 keeps the weights as they are.
+    """
+    if not 1 <= bits <= EXACT_BITS:
+        raise InputError("weight_bits", f"1 to {EXACT_BITS}", bits)
+    drop = np.uint32(EXACT_BITS - bits)
+    if drop == 0:
+        return transport
+    half = np.uint32(1 << (int(drop) - 1))
+    marginals = {
+        name: replace(rows, data=((rows.data.view(np.uint32) + half) >> drop << drop).view("f4"))
+        for name, rows in transport.marginals.items()
+    }
+    return replace(transport, marginals=marginals)
+
+
+def write_transport(path: Path, transport: LightTransport) -> None:
+    """Write light transport, deflated where that pays; :meth:`LightTransport.load` reads it.
+
+    The weights' mantissas are noise: the fastest level makes the file as small as the best,
+    and all of them deflate by a tenth only, which would take most of the time to read them.
+    """
+    raw = path.with_name(f"raw-{path.name}")
+    transport.save(raw)
+    with zipfile.ZipFile(raw) as source, zipfile.ZipFile(path, "w", compresslevel=1) as target:
+        for name in source.namelist():
+            content = source.read(name)
+            start = content[:_PROBED]
+            pays = len(zlib.compress(start, 1)) < _DEFLATED * len(start)
+            method = zipfile.ZIP_DEFLATED if pays else zipfile.ZIP_STORED
+            target.writestr(zipfile.ZipInfo(name), content, method)
+    raw.unlink()
+
+
+def from_folder(folder: Path) -> dict[str, bytes]:
+    """Return the files of a folder as members."""
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def to_folder(members: Mapping[str, bytes], folder: Path) -> None:
+    """Write members as files of a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in members.items():
+        (folder / name).write_bytes(content)
+
+
+@contextmanager
+def unpacked(members: Mapping[str, bytes]) -> Iterator[Path]:
+    """Give a temporary folder with the members as files, for readers that want paths."""
+    folder = Path(tempfile.mkdtemp(prefix="slbench-sample-"))
+    try:
+        to_folder(members, folder)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)

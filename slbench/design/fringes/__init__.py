@@ -1,0 +1,1 @@
+"""Pattern design (thesis chapter 4): which fringes to project."""

@@ -1,0 +1,323 @@
+"""Noise of the relative phase: how it is estimated, and as a table by fringes and height.
+
+Thesis eq. 25 estimates one number from repeated captures of a plane.  As printed it pools all
+pixels around one common mean, which measures noise only where the phase map is constant: over
+a plane that is seen at an angle, or coded by fringes at all, the ramp of the phase itself is
+far larger than its noise.  What the text means is a deviation from each pixel's own mean over
+the repeats, and an average of these over the pixels.  That is done by default, with the root mean
+square for the average, because variances add up and deviations do not: it is the larger one where
+pixels differ (by 6 % if half of them have twice the noise of the others).  Both are here.
+
+Where the projector or the camera defocuses, fine fringes lose modulation and their noise grows
+(thesis 5.3): a :class:`PhaseNoise` therefore holds sigma_phi(n, z).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from hashlib import blake2b
+from math import pi, sqrt
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slbench.capture.capture import Capture
+from slbench.core.errors import InputError
+from slbench.core.io import read_table, write_table
+from slbench.patterns import Axis, Fringes, relative_phase
+
+Array = NDArray[np.float64]
+Estimator = Literal["per-pixel", "pooled"]
+
+COLUMNS = ("fringes", "z_mm", "sigma_rad")
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseNoise:
+    """Standard deviation of the relative phase by number of fringes and height.
+
+    Parameters
+    ----------
+    fringes : (k,) int
+        Fringe counts, ascending.
+    sigma_rad : (k, m) float
+        Positive, at most pi (noise that fills the circle has 1.8); infinite where the phase
+        could not be measured.
+    z_mm : (m,) float
+        Heights.
+    shifts : int
+        Shifts N that it was measured with; other N scale it by sqrt(shifts / N).
+
+    Raises
+    ------
+    InputError
+        For arrays that do not fit each other, or deviations that are not positive.
+    """
+
+    fringes: NDArray[np.int64]
+    sigma_rad: Array
+    z_mm: Array
+    shifts: int = 3
+
+    def __post_init__(self) -> None:
+        if self.fringes.ndim != 1 or len(self.fringes) == 0 or np.any(np.diff(self.fringes) < 1):
+            raise InputError("phase noise: fringes", "ascending counts", self.fringes)
+        shape = (len(self.fringes), len(self.z_mm))
+        if self.sigma_rad.shape != shape or shape[1] == 0:
+            raise InputError("phase noise: sigma_rad", f"shape {shape}", self.sigma_rad.shape)
+        finite = self.sigma_rad[np.isfinite(self.sigma_rad)]
+        if not (np.all(self.sigma_rad > 0.0) and np.all(finite <= pi)):
+            expected = "positive numbers (rad), at most pi unless infinite"
+            raise InputError("phase noise: sigma_rad", expected, _first_bad(self.sigma_rad))
+        if self.fringes[0] < 1:
+            raise InputError("phase noise: fringes", "counts of at least 1", self.fringes[0])
+
+    @classmethod
+    def constant(cls, sigma_rad: float, fringes: Iterable[int], shifts: int = 3) -> PhaseNoise:
+        """Return the same noise for all `fringes`, at one height."""
+        if not 0.0 < sigma_rad <= pi:
+            raise InputError("noise", "a positive number (rad), at most pi", sigma_rad)
+        counts = np.array(sorted(set(fringes)), np.int64)
+        return cls(counts, np.full((len(counts), 1), float(sigma_rad)), np.zeros(1), shifts)
+
+    @classmethod
+    def read(cls, path: str | Path, shifts: int = 3) -> PhaseNoise:
+        """Read a CSV file with the columns fringes, z_mm, sigma_rad: every count at every height.
+
+        Raises
+        ------
+        InputError
+            For a file that cannot be read, or with gaps or repetitions.
+        """
+        rows = read_table(path, COLUMNS, finite=False)
+        if not np.all(np.isfinite(rows[:, :2])):
+            bad = rows[:, :2][~np.isfinite(rows[:, :2])][0]
+            raise InputError(path, "finite fringes and heights", bad)
+        odd = (rows[:, 0] != np.rint(rows[:, 0])) | (rows[:, 0] < 1)
+        if np.any(odd):
+            raise InputError(f"{path}: fringes", "whole numbers >= 1", rows[odd, 0][0])
+        finite = rows[np.isfinite(rows[:, 2]), 2]
+        if not (np.all(rows[:, 2] > 0.0) and np.all(finite <= pi)):
+            expected = "positive numbers (rad), at most pi, or inf where none was measured"
+            raise InputError(f"{path}: sigma_rad", expected, _first_bad(rows[:, 2]))
+        counts, which = np.unique(rows[:, 0], return_inverse=True)
+        heights, where = np.unique(rows[:, 1], return_inverse=True)
+        sigma = np.full((len(counts), len(heights)), np.nan)
+        sigma[which, where] = rows[:, 2]
+        if len(rows) != sigma.size or np.isnan(sigma).any():
+            expected = f"each of {len(counts)} counts once at each of {len(heights)} heights"
+            raise InputError(path, expected, f"{len(rows)} rows")
+        return cls(counts.astype(np.int64), sigma, heights, shifts)
+
+    def write(self, path: str | Path) -> None:
+        """Write what :meth:`read` reads."""
+        write_table(
+            path,
+            COLUMNS,
+            (
+                (count, z, sigma)
+                for count, row in zip(self.fringes, self.sigma_rad, strict=True)
+                for z, sigma in zip(self.z_mm, row, strict=True)
+            ),
+        )
+
+    def of(self, fringes: int, shifts: int | None = None) -> Array:
+        """Return sigma_phi of `fringes` at all heights, (m,), rad.
+
+        Raises
+        ------
+        InputError
+            If the table has no such count.
+        """
+        k = int(np.searchsorted(self.fringes, fringes))
+        if k == len(self.fringes) or self.fringes[k] != fringes:
+            known = ", ".join(map(str, self.fringes))
+            raise InputError("phase noise", f"one of {known} fringes", fringes)
+        return self.sigma_rad[k] * sqrt(self.shifts / (shifts or self.shifts))
+
+    def measurable(self) -> list[int]:
+        """Return the fringe counts with finite noise at every height."""
+        return self.fringes[np.isfinite(self.sigma_rad).all(axis=1)].tolist()
+
+    @property
+    def typical_rad(self) -> float:
+        """Noise of the first count, RMS over the heights, rad: the sigma of the thesis's grid."""
+        return float(np.sqrt(np.mean(self.sigma_rad[0] ** 2)))
+
+
+def _first_bad(sigma: Array) -> float:
+    """Return the first deviation that is neither within (0, pi] nor infinite."""
+    good = (sigma > 0.0) & ((sigma <= pi) | np.isinf(sigma))
+    return float(sigma[~good].flat[0])
+
+
+@dataclass(frozen=True)
+class NoiseEstimate:
+    """One estimated deviation of the relative phase.
+
+    ``standard_error_rad`` is that of the estimate, sigma / sqrt(2 degrees of freedom), for
+    noise that is independent from pixel to pixel.
+    """
+
+    sigma_rad: float
+    standard_error_rad: float
+    repeats: int
+    pixels: int
+
+
+def estimate_noise(phases: ArrayLike, estimator: Estimator = "per-pixel") -> NoiseEstimate:
+    """Estimate the noise of repeated relative phases (thesis eq. 25).
+
+    Parameters
+    ----------
+    phases : (R, ...) array_like
+        Relative phase of R repeats, rad; NaN marks pixels to leave out.  Jumps of 2 pi between
+        repeats do no harm.
+    estimator : {"per-pixel", "pooled"}
+        ``per-pixel``: deviations from each pixel's mean, root mean square over the pixels, with
+        R - 1 degrees of freedom a pixel.  It does not depend on the shape of the phase map.
+        ``pooled``: eq. 25 as printed, deviations of all pixels and repeats from one mean: it is
+        the noise for a constant phase map only, and the spread of the map otherwise.
+
+    Returns
+    -------
+    NoiseEstimate
+
+    Raises
+    ------
+    InputError
+        For fewer than two repeats or no pixel that all repeats have.
+    """
+    stack = np.asarray(phases, dtype=np.float64)
+    if stack.ndim < 2 or len(stack) < 2:
+        raise InputError("estimate_noise: phases", "shape (R >= 2, ...)", stack.shape)
+    if estimator not in ("per-pixel", "pooled"):
+        raise InputError("estimate_noise: estimator", "per-pixel or pooled", repr(estimator))
+    repeats = len(stack)
+    stack = stack.reshape(repeats, -1)
+    stack = stack[:, np.isfinite(stack).all(axis=0)]
+    pixels = stack.shape[1]
+    if pixels == 0:
+        raise InputError("estimate_noise: phases", "a pixel that all repeats have", "none")
+    axis = 0 if estimator == "per-pixel" else None
+    centre = np.angle(np.exp(1j * stack).mean(axis=axis))
+    off = np.mod(stack - centre + pi, 2.0 * pi) - pi
+    off -= off.mean(axis=axis)
+    freedom = pixels * (repeats - 1) if estimator == "per-pixel" else pixels * repeats - 1
+    sigma = sqrt(float(np.sum(off * off)) / freedom)
+    return NoiseEstimate(sigma, sigma / sqrt(2.0 * freedom), repeats, pixels)
+
+
+def noise_of_captures(
+    captures: Sequence[Capture],
+    axis: Axis = "u",
+    *,
+    estimator: Estimator = "per-pixel",
+    min_modulation: float = 3.0,
+    names: Sequence[str] | None = None,
+) -> PhaseNoise:
+    """Estimate the phase noise of every fringe set from repeated captures of one plane.
+
+    Parameters
+    ----------
+    captures : sequence of Capture
+        At least two, of the same patterns and size, nothing moved in between.
+    axis : {"u", "v"}
+        Which fringes.
+    estimator : {"per-pixel", "pooled"}
+        As of :func:`estimate_noise`.
+    min_modulation : float
+        Least modulation, DN, of the pixels that count, in the mean of all captures; saturated
+        pixels never count.
+    names : sequence of str, optional
+        Of the captures, for messages.
+
+    Returns
+    -------
+    PhaseNoise
+        At one height, called 0.  Infinite for sets that are washed out: that have the least
+        modulation on less than half of the pixels that have it in the coarsest set.  All others
+        are estimated on the same pixels, those that have it in every one of them.
+
+    Raises
+    ------
+    InputError
+        For captures that differ or are copies, have no fringes along the axis, sets of different
+        numbers of shifts, or no pixels that can be measured.
+    """
+    if len(captures) < 2:
+        raise InputError("captures", "at least 2 repeats", len(captures))
+    known = names or [f"captures[{k}]" for k in range(len(captures))]
+    parts = _fringe_parts(captures[0], axis)
+    shifts = {part.shifts for _, part in parts}
+    if len(shifts) > 1:
+        raise InputError("captures", "one number of shifts for all fringes", sorted(shifts))
+    _check_repeats(captures, known, sorted(k for chosen, _ in parts for k in chosen))
+    counts = [part.count for _, part in parts]
+    usable = []
+    for chosen, _ in parts:
+        modulation = np.zeros(captures[0].frames.shape[1:])
+        valid = np.ones(modulation.shape, bool)
+        for shot in captures:
+            top = shot.saturation_dn or 2**shot.bit_depth - 1
+            valid &= (shot.frames[chosen] < top).all(axis=0)
+            modulation += relative_phase(shot.frames[chosen])[1] / len(captures)
+        usable.append(valid & (modulation >= min_modulation))
+    if not usable[0].any():
+        where = f"captures: {counts[0]} fringes"
+        raise InputError(where, f"a pixel with modulation >= {min_modulation} DN", "none")
+    enough = 0.5 * usable[0].sum()
+    measured = [(usable[0] & own).sum() >= enough for own in usable]
+    common = np.logical_and.reduce(
+        [own for own, good in zip(usable, measured, strict=True) if good]
+    )
+    if not common.any():
+        raise InputError("captures", "a pixel that all fringe sets are measured on", "none")
+    sigma = np.full((len(parts), 1), np.inf)
+    for row, (chosen, _), good in zip(sigma, parts, measured, strict=True):
+        if good:
+            phases = [relative_phase(shot.frames[chosen])[0][common] for shot in captures]
+            row[0] = estimate_noise(phases, estimator).sigma_rad
+    return PhaseNoise(np.array(counts, np.int64), sigma, np.zeros(1), shifts.pop())
+
+
+def _fringe_parts(shot: Capture, axis: Axis) -> list[tuple[list[int], Fringes]]:
+    """Return frames and part of every fringe set along the axis, ascending by fringes."""
+    frames = shot.sequence.frames()
+    parts = [
+        ([k for k, frame in enumerate(frames) if frame.part_index == index], part)
+        for index, part in enumerate(shot.sequence.parts)
+        if isinstance(part, Fringes) and part.axis == axis
+    ]
+    if not parts:
+        raise InputError("captures", f"fringes along {axis}", shot.sequence.name)
+    return sorted(parts, key=lambda entry: entry[1].count)
+
+
+def _check_repeats(
+    captures: Sequence[Capture], names: Sequence[str], frames: Sequence[int]
+) -> None:
+    """Refuse captures of other patterns, and copies: noise never repeats a whole frame."""
+    first = captures[0]
+    seen: dict[bytes, str] = {}
+    for name, shot in zip(names, captures, strict=True):
+        if shot.sequence != first.sequence:
+            raise InputError(
+                name, f"the patterns of the first, {first.sequence.name}", shot.sequence.name
+            )
+        if shot.frames.shape != first.frames.shape:
+            raise InputError(
+                name, f"the size of the first, {first.frames.shape}", shot.frames.shape
+            )
+        for k in frames:
+            digest = blake2b(
+                np.ascontiguousarray(shot.frames[k]).data, salt=str(k).encode()
+            ).digest()
+            if digest in seen:
+                raise InputError(
+                    f"{name}: frame {k}", "noise of its own", f"that of {seen[digest]}"
+                )
+            seen[digest] = name

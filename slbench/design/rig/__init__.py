@@ -1,0 +1,1 @@
+"""Rig design (thesis chapter 3): where camera and projector should stand."""

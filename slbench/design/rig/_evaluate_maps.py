@@ -1,0 +1,241 @@
+"""From placed devices to the matrices that the evaluator's kernels work with.
+
+Everything here is done for all configurations at once, as stacks of small matrices; the
+kernels then see pixels only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.design.rig import _evaluate_loops as loops
+from slbench.design.rig.hardware import Hardware, Placement
+from slbench.rig import Device, Pose
+
+Array = NDArray[np.float64]
+
+#: More pixels than this on all planes: the threads share a configuration, not the batch.
+_LARGE = 200_000
+#: Safety of the sampled bound on how close distorted rays can be.
+_DISTORTED_STEP = 0.9
+
+
+class Maps:
+    """The matrices that the kernels work with, of all configurations at once.
+
+    A telecentric lens keeps its magnification when it is focused elsewhere, so the principal
+    and focus distances of the hardware serve for all configurations.
+    """
+
+    def __init__(
+        self, hardware: Hardware, placement: Placement, planes: Array, strides: tuple[int, int]
+    ) -> None:
+        self.hardware, self.placement = hardware, placement
+        self.planes, self.strides = planes, strides
+        camera, projector = hardware.camera, hardware.projector
+        self.rows = -(-camera.height // strides[1])
+        self.columns = -(-camera.width // strides[0])
+        self.telecentric = _telecentric(projector)
+        self.matrix = self._projector_matrix()
+        self.axis = np.zeros_like(placement.camera_position)
+        if _telecentric(camera):
+            self.axis = np.ascontiguousarray(placement.camera_rotation[:, :, 2])
+        self.ground = self._rays_to_plane()
+        self.depth, self.step = self._neighbours()
+
+    def metrics(self) -> Array:
+        """Return mu, sigma, the number of points and the dispersion, (n, 4)."""
+        hardware, place = self.hardware, self.placement
+        n = len(place.valid)
+        out = np.empty((n, 4))
+        half = 0.5 * np.array(hardware.volume_mm)
+        size = np.array([hardware.projector.width, hardware.projector.height], dtype=np.float64)
+        distorted = any(hardware.camera.distortion) or any(hardware.projector.distortion)
+        windows = self._windows(whole=distorted)
+        common = (
+            self.planes,
+            half,
+            size,
+            hardware.coded_axes,
+            *map(
+                np.ascontiguousarray,
+                (
+                    place.camera_position,
+                    self.axis,
+                    self.matrix,
+                    place.projector_position,
+                    place.projector_rotation,
+                    np.linalg.inv(_pixels(hardware.projector)),
+                ),
+            ),
+            self.telecentric,
+        )
+        first: tuple[Any, ...]
+        if distorted:
+            fill = loops.distorted_rows
+            first = (*self._tables(), *self._lens(), np.ascontiguousarray(self.ground))
+        else:
+            fill = loops.ideal_rows
+            ground = self.ground @ np.linalg.inv(_pixels(hardware.camera))
+            first = (np.array(self.strides), ground, self._panel(ground))
+        if not distorted and self.planes.size * self.rows * self.columns <= _LARGE:
+            loops.ideal_batch(*first, *common, self.depth, self.step, windows, out)
+            return out
+        for c in range(n):
+            shape = (self.planes.size, windows[c, 1], windows[c, 3])
+            error, xs, ys = np.empty(shape), np.empty(shape), np.empty(shape)
+            fill(c, windows, *first, *common, error, xs, ys)
+            loops.spread_rows(self.planes, error, xs, ys, self.depth[c], self.step, out[c])
+        return out
+
+    def _projector_matrix(self) -> Array:
+        """World point to panel pixel without distortion, (n, 3, 4) (thesis eq. 9)."""
+        place = self.placement
+        inverse = place.projector_rotation.transpose(0, 2, 1)
+        world = np.concatenate((inverse, -inverse @ place.projector_position[..., None]), axis=2)
+        if self.telecentric:
+            world[:, :2] /= self.telecentric
+            world[:, 2] = [0.0, 0.0, 0.0, 1.0]
+        return _pixels(self.hardware.projector) @ world
+
+    def _rays_to_plane(self) -> Array:
+        """Undistorted camera coordinates (x, y, 1) to (X, Y, 1) on each plane, (n, p, 3, 3).
+
+        NaN where camera or projector are not in front of the plane.
+        """
+        place, focus = self.placement, _telecentric(self.hardware.camera)
+        r = place.camera_rotation[:, np.newaxis]
+        c = place.camera_position[:, np.newaxis]
+        height = c[..., 2] - self.planes
+        in_front = (height > 0) & (place.projector_position[:, 2, np.newaxis] > self.planes)
+        height = np.where(in_front, height, np.nan)[..., np.newaxis]
+        if not focus:
+            # T = C + height / (-r3 . q) R q, times -r3 . q, which is positive for a hit.
+            rows = [height * r[:, :, i] - c[..., i, np.newaxis] * r[:, :, 2] for i in (0, 1)]
+            return np.stack((*rows, -r[:, :, 2] + 0.0 * height), axis=2)
+        # From C + s (x, y, 0) along the camera's axis, which must point at the plane.
+        down = np.where(r[:, :, 2, 2] < 0, -r[:, :, 2, 2], np.nan)
+        out = np.zeros((*height.shape[:2], 3, 3))
+        for i in (0, 1):
+            slope = r[:, :, i, 2] / down
+            out[..., i, :2] = focus * (r[:, :, i, :2] + r[:, :, 2, :2] * slope[..., np.newaxis])
+            out[..., i, 2] = c[..., i] + height[..., 0] * slope
+        out[..., 2, 2] = 1.0
+        return out
+
+    def _panel(self, ground: Array) -> Array:
+        """Camera pixel to panel pixel by way of each plane, (n, p, 3, 3)."""
+        point = np.stack(
+            (
+                ground[:, :, 0],
+                ground[:, :, 1],
+                ground[:, :, 2] * self.planes[:, np.newaxis],
+                ground[:, :, 2],
+            ),
+            axis=2,
+        )
+        return self.matrix[:, np.newaxis] @ point
+
+    def _neighbours(self) -> tuple[Array, float]:
+        """Return what bounds the distance of points from below; see the kernels' module.
+
+        Returns
+        -------
+        depth : (n, 4) float
+        step : float
+        """
+        camera, place = self.hardware.camera, self.placement
+        depth = np.zeros((len(place.valid), 4))
+        if any(camera.distortion) or any(camera.tilt_rad):
+            rays = camera.normalise(_sampled(camera, self.strides))
+            step = _DISTORTED_STEP * _least_step(rays)
+        else:
+            corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]])
+            rays = camera.normalise(corners * (camera.width - 1, camera.height - 1))
+            pitches = np.array(camera.pitch_mm) * self.strides
+            step = float(pitches.min()) / camera.lens.focal_length_mm
+        furthest = float(np.sqrt(1.0 + np.max(np.sum(rays**2, axis=-1))))
+        if _telecentric(camera):
+            depth[:, 3] = _telecentric(camera)
+            return depth, step
+        axis = place.camera_rotation[:, :, 2]
+        depth[:, :3] = axis
+        depth[:, 3] = -np.sum(axis * place.camera_position, axis=1)
+        return depth, step / furthest
+
+    def _windows(self, *, whole: bool) -> NDArray[np.int64]:
+        """Top, rows, left, columns of the sampled pixels that can see the volume, (n, 4).
+
+        The bounding box of its corners' images; all pixels if `whole` (distortion bends the
+        volume's edges) or where a corner is behind the camera.
+        """
+        n = len(self.placement.valid)
+        sizes = np.array([self.columns, self.rows])
+        first, last = np.zeros((n, 2)), np.tile(sizes - 1.0, (n, 1))
+        if not whole:
+            place = self.placement
+            corners = replace(self.hardware.camera, pose=Pose()).project(
+                (self.hardware.volume_corners - place.camera_position[:, np.newaxis])
+                @ place.camera_rotation
+            )
+            # One pixel more, so that rounding cannot cost a point on the volume's boundary.
+            low = np.floor((corners.min(axis=1) - 1.0) / self.strides)
+            high = np.ceil((corners.max(axis=1) + 1.0) / self.strides)
+            seen = np.all(np.isfinite(low), axis=1, keepdims=True)
+            first = np.where(seen, np.clip(low, 0, sizes), first)
+            last = np.where(seen, np.clip(high, first - 1, sizes - 1), last)
+        counts = last - first + 1
+        window = np.stack((first[:, 1], counts[:, 1], first[:, 0], counts[:, 0]), axis=1)
+        return window.astype(np.int64)
+
+    def _tables(self) -> tuple[Array, Array]:
+        """Undistorted coordinates of the camera's 3 x 3 rays, and of the panel's pixels."""
+        camera, projector = self.hardware.camera, self.hardware.projector
+        quarter = (-0.25, 0.0, 0.25)
+        offsets = np.array([[i, j] for j in quarter for i in quarter])
+        rays = camera.normalise(_sampled(camera, self.strides)[:, :, np.newaxis] + offsets)
+        if self.hardware.coded_axes == 1:
+            return rays, np.empty((0, 0, 2))
+        return rays, projector.normalise(projector.pixel_grid())
+
+    def _lens(self) -> tuple[Array, Array, Array]:
+        """Return the projector's distortion, tilt and pixels for the kernel that distorts."""
+        projector = self.hardware.projector
+        fu, fv = projector.matrix[0, 0], projector.matrix[1, 1]
+        return (
+            np.array(projector.distortion),
+            np.ascontiguousarray(projector.tilt_homography, dtype=np.float64),
+            np.array([fu, fv, *projector.centre]),
+        )
+
+
+def _telecentric(device: Device) -> float:
+    """Return the focus distance of a telecentric lens, 0 of any other."""
+    return device.lens.focus_distance_mm if device.lens.kind == "telecentric" else 0.0
+
+
+def _pixels(device: Device) -> Array:
+    """Undistorted coordinates to pixels, (3, 3), homogeneous: tilt and camera matrix."""
+    return device.matrix @ device.tilt_homography
+
+
+def _sampled(camera: Device, strides: tuple[int, int]) -> Array:
+    """Return the sampled pixels, (rows, columns, 2)."""
+    u, v = np.arange(0, camera.width, strides[0]), np.arange(0, camera.height, strides[1])
+    return np.stack(np.meshgrid(u, v), axis=-1).astype(np.float64)
+
+
+def _least_step(rays: Array) -> float:
+    """Return the least height of the cells between rays (rows, columns, 2); inf without one."""
+    du, dv = np.diff(rays, axis=1), np.diff(rays, axis=0)
+    if not du.size or not dv.size:
+        lengths = np.linalg.norm(np.concatenate((du.reshape(-1, 2), dv.reshape(-1, 2))), axis=1)
+        return float(lengths.min(initial=np.inf))
+    a, b = du[:-1], dv[:, :-1]
+    area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    longest = np.maximum(np.linalg.norm(a, axis=-1), np.linalg.norm(b, axis=-1))
+    return float(np.min(area / longest))

@@ -1,0 +1,365 @@
+"""Whether a rig can be built and works: the six constraints g1..g6 of thesis 3.2.2.
+
+==  ==========================================================================
+g1  camera and projector stand in front of the reference plane (eq. 14)
+g2  both within the working distances of their lenses (eq. 15)
+g3  the measurement volume lies inside both in-focus volumes (eq. 16)
+g4  the camera's body is outside the projector's frustum (eq. 17)
+g5  the projector's body is outside the camera's frustum (eq. 18)
+g6  the bodies are apart (eq. 19)
+==  ==========================================================================
+
+**Sign.** The thesis has g = -1 where a constraint holds and 1 elsewhere; here each is a
+*margin* in mm, **positive where it holds**: how far the rig is from violating it.  A rig is
+feasible where all six margins are positive.
+
+An in-focus volume is cut out by planes: four through the lens and the panel's edges, and two
+where the circle of confusion reaches its limit, ``|n . X - 1| = rho Z`` with ``n`` of
+:attr:`slbench.rig.Device.focus_plane` and ``rho = circle / (2 a c)`` (``rho s`` on the right
+for a telecentric lens): planes, too, whether or not the sensor is tilted.  A viewing frustum
+reaches from the lens to the far end of the measurement volume, as what is behind it is in
+nobody's way.  Both go through the four corners of the panel: with distortion, the slight
+curvature of the edges between them is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slbench.core.errors import InputError
+from slbench.design.rig.convex import separation
+from slbench.design.rig.hardware import VARIABLES, Hardware, Placement
+from slbench.rig import Camera, DesignVariables, Device
+from slbench.rig.distortion import tilt_rotation
+
+Array = NDArray[np.float64]
+
+#: Names of the constraints, in the order of the margins' columns.
+CONSTRAINTS = ("g1", "g2", "g3", "g4", "g5", "g6")
+
+#: What each part of the margins says where it is negative, and its constraint.
+PARTS = (
+    ("g1", "the camera is not in front of the reference plane"),
+    ("g1", "the projector is not in front of the reference plane"),
+    ("g2", "the camera is nearer than its shortest working distance"),
+    ("g2", "the camera is farther than its longest working distance"),
+    ("g2", "the projector is nearer than its shortest working distance"),
+    ("g2", "the projector is farther than its longest working distance"),
+    ("g3", "the volume leaves the camera's field of view"),
+    ("g3", "the volume leaves the camera's depth of field"),
+    ("g3", "the volume leaves the projector's field of view"),
+    ("g3", "the volume leaves the projector's depth of field"),
+    ("g4", "the camera's body is in the projector's frustum"),
+    ("g5", "the projector's body is in the camera's frustum"),
+    ("g6", "the bodies of camera and projector overlap"),
+)
+_COLUMN = np.array([CONSTRAINTS.index(name) for name, _ in PARTS])
+
+#: Rounds of :func:`diagnose`'s refinement, and by how much each one narrows the search.
+_ROUNDS, _NARROWER = 40, 0.8
+_PER_ROUND = 64
+
+
+def margins(hardware: Hardware, configurations: ArrayLike | Sequence[DesignVariables]) -> Array:
+    """Return the signed margins of g1..g6.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    configurations : (n, 6) float or list of DesignVariables
+        In mm and rad.
+
+    Returns
+    -------
+    (n, 6) float
+        In mm, positive where the constraint holds; -inf where a configuration is no rig at
+        all (the projector's axis never meets the reference plane).
+
+    Raises
+    ------
+    InputError
+        If the configurations are not numbers, six each.
+    """
+    return placed_margins(hardware, hardware.place(configurations))
+
+
+def placed_margins(hardware: Hardware, placement: Placement) -> Array:
+    """As :func:`margins`, of devices already placed."""
+    parts = _parts(hardware, placement)
+    columns = [parts[:, column == _COLUMN].min(axis=1) for column in range(len(CONSTRAINTS))]
+    return np.stack(columns, axis=1)
+
+
+def explain(hardware: Hardware, configuration: ArrayLike | DesignVariables) -> list[str]:
+    """Say in sentences what is wrong with a configuration.
+
+    Returns
+    -------
+    list of str
+        One for each part of a constraint that is violated, with the amount, worst first;
+        empty where the configuration is feasible.
+    """
+    parts = _parts(hardware, hardware.place([*np.atleast_2d(_row(configuration))]))[0]
+    if np.isneginf(parts[0]):
+        return ["g1: the projector's axis does not meet the reference plane"]
+    order = np.argsort(parts)
+    return [f"{PARTS[i][0]}: {PARTS[i][1]} by {-parts[i]:.4g} mm" for i in order if parts[i] <= 0]
+
+
+def focus_slacks(
+    hardware: Hardware,
+    configurations: ArrayLike | Sequence[DesignVariables],
+    points: ArrayLike,
+) -> Array:
+    """Return the signed distances of world points to the planes around both in-focus volumes.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    configurations : (n, 6) float or list of DesignVariables
+    points : (m, 3) float
+        World coordinates, mm.
+
+    Returns
+    -------
+    (n, m, 12) float
+        mm, positive inside; for each device four sides of its view and two limits of its
+        depth of field (infinite for a pinhole).
+    """
+    placement = hardware.place(configurations)
+    world = np.asarray(points, dtype=np.float64)
+    parts: list[Array] = []
+    for device, rotation, position, distance in _devices(hardware, placement):
+        parts += _slacks(hardware, device, distance, _local(world, rotation, position))
+    return np.concatenate(parts, axis=2)
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What :func:`diagnose` found out.
+
+    Parameters
+    ----------
+    feasible_share : float
+        Share of the sampled configurations that are feasible.
+    configuration : (6,) float
+        The best found: the one whose smallest margin is largest, mm and rad.
+    margins : (6,) float
+        Its margins, mm.
+    highest : (6,) float
+        Of each constraint, the largest margin found anywhere, mm.
+    reasons : tuple of str
+        What is wrong with the configuration (:func:`explain`); empty if it is feasible.
+    """
+
+    feasible_share: float
+    configuration: Array
+    margins: Array
+    highest: Array
+    reasons: tuple[str, ...]
+
+    @property
+    def feasible(self) -> bool:
+        """Whether any feasible configuration was found."""
+        return bool(np.all(self.margins > 0))
+
+    def __str__(self) -> str:
+        values = np.concatenate((self.configuration[:4], np.rad2deg(self.configuration[4:])))
+        where = ", ".join(f"{n} {v:.5g}" for n, v in zip(VARIABLES, values, strict=True))
+        if self.feasible:
+            return f"feasible, with {self.margins.min():.3g} mm to spare at {where}"
+        alone = [n for n, most in zip(CONSTRAINTS, self.highest, strict=True) if most <= 0]
+        never = f" ({', '.join(alone)} holds nowhere in the ranges)" if alone else ""
+        return f"nothing feasible found{never}; nearest: {'; '.join(self.reasons)}, at {where}"
+
+
+def diagnose(hardware: Hardware, n: int = 4096, seed: int = 0) -> Diagnosis:
+    """Find the least infeasible configuration and say what is wrong with it.
+
+    The ranges are sampled evenly, then ever more narrowly around the best so far.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    n : int
+        Configurations to start with.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        If `n` is not positive.
+    """
+    if n < 1:
+        raise InputError("number of configurations", "at least 1", n)
+    rng = np.random.default_rng(seed)
+    low, high = np.array(hardware.lower), np.array(hardware.upper)
+    rows = low + (high - low) * rng.random((n, 6))
+    values = margins(hardware, rows)
+    share = float(np.mean(np.all(values > 0, axis=1)))
+    highest = values.max(axis=0)
+    best = int(np.argmax(values.min(axis=1)))
+    row, value = rows[best], values[best]
+    reach = 0.25 * (high - low)
+    for _ in range(_ROUNDS):
+        rows = np.clip(row + reach * rng.uniform(-1, 1, (_PER_ROUND, 6)), low, high)
+        values = margins(hardware, rows)
+        highest = np.maximum(highest, values.max(axis=0))
+        best = int(np.argmax(values.min(axis=1)))
+        if values[best].min() > value.min():
+            row, value = rows[best], values[best]
+        else:
+            reach *= _NARROWER
+    return Diagnosis(share, row, value, highest, tuple(explain(hardware, row)))
+
+
+def feasible_sample(hardware: Hardware, n: int, seed: int = 0) -> Array:
+    """Draw feasible configurations evenly from the ranges of the design variables.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    n : int
+    seed : int
+
+    Returns
+    -------
+    (n, 6) float
+        In mm and rad.
+
+    Raises
+    ------
+    InputError
+        If `n` is not positive, or fewer than `n` of 2^17 points are feasible.
+    """
+    if n < 1:
+        raise InputError("number of configurations", "at least 1", n)
+    rng = np.random.default_rng(seed)
+    low, high = np.array(hardware.lower), np.array(hardware.upper)
+    found = np.empty((0, 6))
+    for _ in range(32):
+        rows = low + (high - low) * rng.random((4096, 6))
+        found = np.vstack((found, rows[np.all(margins(hardware, rows) > 0, axis=1)]))
+        if len(found) >= n:
+            return found[:n]
+    got = str(len(found)) if len(found) else f"none; {diagnose(hardware)}"
+    raise InputError("hardware", f"{n} feasible configurations among 131072 drawn", got)
+
+
+def _row(configuration: ArrayLike | DesignVariables) -> Array:
+    if isinstance(configuration, DesignVariables):
+        v = configuration
+        return np.array([v.z_ref, v.w, v.h, v.l, v.alpha_p, v.beta_p])
+    return np.asarray(configuration, dtype=np.float64)
+
+
+def _devices(hardware: Hardware, p: Placement) -> tuple[tuple[Device, Array, Array, Array], ...]:
+    return (
+        (hardware.camera, p.camera_rotation, p.camera_position, p.camera_distance),
+        (hardware.projector, p.projector_rotation, p.projector_position, p.projector_distance),
+    )
+
+
+def _parts(hardware: Hardware, placement: Placement) -> Array:
+    """Margins of all parts of the constraints, (n, 13), in the order of PARTS."""
+    columns: list[Array] = [placement.camera_position[:, 2], placement.projector_position[:, 2]]
+    ranges = (hardware.camera_distance_mm, hardware.projector_distance_mm)
+    devices = _devices(hardware, placement)
+    for (near, far), (_, _, _, distance) in zip(ranges, devices, strict=True):
+        columns += [distance - near, far - distance]
+    bodies, frusta = [], []
+    for device, rotation, position, distance in devices:
+        local = _local(hardware.volume_corners, rotation, position)
+        columns += [s.min(axis=(1, 2)) for s in _slacks(hardware, device, distance, local)]
+        assert device.body_mm is not None  # by Hardware
+        x, y, depth = device.body_mm
+        face = 0.5 * np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+        body = np.concatenate((np.c_[face, np.full(4, -depth)], np.c_[face, np.zeros(4)]))
+        bodies.append(body @ rotation.transpose(0, 2, 1) + position[:, np.newaxis])
+        frustum = _frustum(device, local[..., 2].max(axis=1))
+        frusta.append(frustum @ rotation.transpose(0, 2, 1) + position[:, np.newaxis])
+    columns += [separation(bodies[0], frusta[1]), separation(bodies[1], frusta[0])]
+    columns.append(separation(*bodies))
+    parts = np.stack(columns, axis=1)
+    parts[~placement.valid] = -np.inf
+    return parts
+
+
+def _local(points: Array, rotation: Array, position: Array) -> Array:
+    """World points (m, 3) in the frames of n devices, (n, m, 3)."""
+    return (points - position[:, np.newaxis]) @ rotation
+
+
+def _field(device: Device) -> Array:
+    """Return the panel's four corners in normalised coordinates, (4, 2).
+
+    Clockwise in the image; for a telecentric lens, in mm across the axis.
+    """
+    right, bottom = device.width - 0.5, device.height - 0.5
+    corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
+    scale = device.lens.focus_distance_mm if device.lens.kind == "telecentric" else 1.0
+    return device.normalise(corners) * scale
+
+
+def _frustum(device: Device, far: Array) -> Array:
+    """Return viewing frusta from the lens to depths (n,), device frame, (n, 8, 3)."""
+    field = _field(device)
+    out = np.zeros((len(far), 8, 3))
+    if device.lens.kind == "telecentric":
+        out[:, :4, :2] = out[:, 4:, :2] = field
+    else:
+        out[:, 4:, :2] = field * far[:, np.newaxis, np.newaxis]
+    out[:, 4:, 2] = far[:, np.newaxis]
+    return out
+
+
+def _slacks(hardware: Hardware, device: Device, distance: Array, local: Array) -> list[Array]:
+    """Signed distances of points (n, m, 3) to the planes around the in-focus volume.
+
+    Returns
+    -------
+    list of two (n, m, k) float
+        To the four sides of the field of view, and to the two limits of the depth of field;
+        positive inside.
+    """
+    field = _field(device)
+    if device.lens.kind == "telecentric":
+        edges = np.roll(field, -1, axis=0) - field
+        sides = np.c_[-edges[:, 1], edges[:, 0], np.zeros(4)]
+        offsets = np.sum(sides[:, :2] * field, axis=1)
+    else:
+        rays = np.c_[field, np.ones(4)]
+        sides, offsets = np.cross(rays, np.roll(rays, -1, axis=0)), np.zeros(4)
+    lengths = np.linalg.norm(sides, axis=1)
+    view = (local @ sides.T - offsets) / lengths
+    # Principal distance, aperture and focus of every configuration's lens.
+    lens = device.lens
+    moves = hardware.refocused[0 if isinstance(device, Camera) else 1]
+    focus = distance if moves else np.full_like(distance, lens.focus_distance_mm)
+    scale = focus / lens.focus_distance_mm if moves and lens.kind == "telecentric" else 1.0
+    principal = lens.focal_length_mm * scale * np.ones_like(focus)
+    tilt = tilt_rotation(*device.tilt_rad)[2]
+    normal = np.stack(
+        (-tilt[0] / (principal * tilt[2]), -tilt[1] / (principal * tilt[2]), 1.0 / focus), axis=1
+    )
+    if lens.aperture_radius_mm == 0:
+        front = local[..., 2]  # a pinhole sees all that is in front of it sharply
+        return [view, np.stack((front, np.full_like(front, np.inf)), axis=-1)]
+    limit = hardware.circle_px * device.pitch_mm[0]
+    rho = limit / (2.0 * lens.aperture_radius_mm * scale * principal)
+    offset = np.einsum("nmi,ni->nm", local, normal) - 1.0
+    if lens.kind == "telecentric":
+        reach = (rho * focus)[:, np.newaxis]
+        length = np.linalg.norm(normal, axis=1)[:, np.newaxis]
+        return [view, np.stack(((offset + reach) / length, (reach - offset) / length), axis=-1)]
+    reach = rho[:, np.newaxis] * local[..., 2]
+    slacks = []
+    for sign in (1.0, -1.0):
+        # |n . X - 1| <= rho Z is two half-spaces, with normals n + rho e_z and n - rho e_z.
+        length = np.linalg.norm(normal + sign * np.array([0, 0, 1]) * rho[:, np.newaxis], axis=1)
+        slacks.append((sign * offset + reach) / np.maximum(length, 1e-300)[:, np.newaxis])
+    return [view, np.stack(slacks, axis=-1)]

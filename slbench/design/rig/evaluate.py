@@ -1,0 +1,186 @@
+"""What a configuration can be expected to measure: the metrics of thesis 3.2.
+
+A flat plane at several heights of the measurement volume is seen by a sample of the camera's
+pixels.  Each sends 3 x 3 rays, at 1/4, 1/2 and 3/4 of its width and height, to the plane and
+on to the panel; where at least 5 of them meet the same panel pixel, the pixel has a *unique
+correspondence* with it (3.1.3).  The error of the point ``T`` where the centre ray meets the
+plane is ``e = |T' - T|`` with the reconstructed point ``T'`` (3.1.4, eq. 13):
+
+* one coded axis: the centre ray cut with the plane through the projector's nodal point and
+  the panel column's centre (where it meets the column, if the projector's lens distorts);
+* two: the least-squares point of the rays of both pixels, the middle of their shortest
+  connection.
+
+Metrics, over all points in the volume: mean ``mu`` and standard deviation ``sigma`` of e (with
+N - 1), their number ``N_s``, their mean distance ``d`` to the nearest other one, and ``eta``,
+the share of the panel inside the silhouette of the volume (hull of its eight corners).
+
+Pixel coordinates are those of pixel *centres* throughout; the mean error is then about a third
+of thesis table 5's, which must have used pixel edges somewhere, at the same ranking.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slbench.core.errors import InputError
+from slbench.design.rig._evaluate_maps import Maps
+from slbench.design.rig.constraints import CONSTRAINTS, placed_margins
+from slbench.design.rig.convex import coverage
+from slbench.design.rig.hardware import Hardware
+from slbench.rig import DesignVariables, Pose
+
+Array = NDArray[np.float64]
+
+#: Camera columns and rows between sampled pixels, which reproduces thesis table 5's N_s.
+THESIS_STRIDE = (20, 24)
+#: Heights of the planes as shares of the volume's half depth.
+_PLANES = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Metrics and constraints of n configurations.
+
+    Parameters
+    ----------
+    mu_mm, sigma_mm : (n,) float
+        Mean and standard deviation of the error; NaN with no point, or with only one.
+    eta : (n,) float
+        Share of the panel that the volume's silhouette covers; NaN where a corner of the
+        volume is behind the projector.
+    n_points : (n,) int
+        Points with a unique correspondence, N_s.
+    dispersion_mm : (n,) float
+        Mean distance of a point to its nearest neighbour; NaN with fewer than two.
+    margins : (n, 6) float
+        Signed margins of g1..g6, mm, positive where the constraint holds.
+    camera_distance_mm, projector_distance_mm : (n,) float
+        From the world's origin.
+    angle_deg : (n,) float
+        Triangulation angle.
+    """
+
+    mu_mm: Array
+    sigma_mm: Array
+    eta: Array
+    n_points: NDArray[np.int64]
+    dispersion_mm: Array
+    margins: Array
+    camera_distance_mm: Array
+    projector_distance_mm: Array
+    angle_deg: Array
+
+    def __len__(self) -> int:
+        return len(self.mu_mm)
+
+    @property
+    def feasible(self) -> NDArray[np.bool_]:
+        """Where all six margins are positive, (n,)."""
+        return np.all(self.margins > 0, axis=1)
+
+    @property
+    def objectives(self) -> Array:
+        """To minimise: ``(mu sigma, -eta N_s, -d)`` of thesis eq. 20, (n, 3).
+
+        Infinite in all three where there are fewer than two points: nothing was measured.
+        """
+        values = np.stack(
+            (self.mu_mm * self.sigma_mm, -self.eta * self.n_points, -self.dispersion_mm), axis=1
+        )
+        values[~np.all(np.isfinite(values), axis=1)] = np.inf
+        return values
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one dictionary of plain numbers a configuration, for JSON and tables."""
+        return [
+            {
+                "mu_mm": float(self.mu_mm[i]),
+                "sigma_mm": float(self.sigma_mm[i]),
+                "eta": float(self.eta[i]),
+                "n_points": int(self.n_points[i]),
+                "dispersion_mm": float(self.dispersion_mm[i]),
+                "feasible": bool(self.feasible[i]),
+                "margins": dict(zip(CONSTRAINTS, self.margins[i].tolist(), strict=True)),
+                "camera_distance_mm": float(self.camera_distance_mm[i]),
+                "projector_distance_mm": float(self.projector_distance_mm[i]),
+                "angle_deg": float(self.angle_deg[i]),
+            }
+            for i in range(len(self))
+        ]
+
+
+def evaluate(
+    hardware: Hardware,
+    configurations: ArrayLike | Sequence[DesignVariables],
+    *,
+    stride: tuple[int, int] = THESIS_STRIDE,
+    planes_mm: ArrayLike | None = None,
+) -> Evaluation:
+    """Evaluate configurations of a rig.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    configurations : (n, 6) float or list of DesignVariables
+        In mm and rad.
+    stride : (int, int)
+        Every how many-th camera column and row is sampled, from the first; (1, 1) is the
+        whole sensor.
+    planes_mm : (p,) float or None
+        Heights of the planes, inside the volume; by default -1/2, -1/4, 0, 1/4 and 1/2 of
+        its depth (thesis: -15, -7.5, 0, 7.5, 15 mm).
+
+    Returns
+    -------
+    Evaluation
+        Metrics of infeasible configurations, too, as far as they make sense.
+
+    Raises
+    ------
+    InputError
+        If configurations, stride or planes cannot be used.
+    """
+    placement = hardware.place(configurations)
+    half = 0.5 * np.array(hardware.volume_mm)
+    planes = _checked_planes(planes_mm, half[2])
+    whole = np.asarray(stride)
+    if whole.shape != (2,) or whole.dtype.kind not in "iu" or whole.min() < 1:
+        raise InputError("stride", "two whole numbers, at least 1", stride)
+    strides = (int(whole[0]), int(whole[1]))
+    metrics = Maps(hardware, placement, planes, strides).metrics()
+    flat = replace(hardware.projector, pose=Pose())
+    corners = flat.project(
+        (hardware.volume_corners - placement.projector_position[:, np.newaxis])
+        @ placement.projector_rotation
+    )
+    return Evaluation(
+        mu_mm=metrics[:, 0],
+        sigma_mm=metrics[:, 1],
+        eta=coverage(corners, flat.width, flat.height),
+        n_points=metrics[:, 2].astype(np.int64),
+        dispersion_mm=metrics[:, 3],
+        margins=placed_margins(hardware, placement),
+        camera_distance_mm=placement.camera_distance,
+        projector_distance_mm=placement.projector_distance,
+        angle_deg=np.rad2deg(placement.angle),
+    )
+
+
+def _checked_planes(planes_mm: ArrayLike | None, half_depth: float) -> Array:
+    if planes_mm is None:
+        return _PLANES * half_depth
+    expected = f"distinct heights within {half_depth} mm of the reference plane"
+    try:
+        planes = np.sort(np.asarray(planes_mm, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise InputError("planes", expected, planes_mm) from None
+    inside = planes.ndim == 1 and planes.size and np.all(np.abs(planes) <= half_depth)
+    if not inside or np.any(np.diff(planes) <= 0):
+        raise InputError("planes", expected, planes.tolist())
+    return planes

@@ -1,0 +1,390 @@
+"""What a rig is designed from: optics, bodies, working distances, ranges of the variables.
+
+A :class:`Hardware` is thesis tables 2 and 3 in one value: camera and projector without a
+place, the measurement volume, the working distances of the lenses and the ranges of the six
+design variables.  :meth:`Hardware.place` puts both devices where many configurations say, all
+at once (thesis 3.1.2); constraints and evaluator start from there.
+
+Files: the ``[camera]``, ``[projector]`` and ``[rig]`` tables of a scene, and ``[design]``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.core.io import read_table
+from slbench.core.validation import Finite, Parameters, validated
+from slbench.detector.emva1288 import Detector
+from slbench.rig import (
+    Camera,
+    DesignVariables,
+    Device,
+    Lens,
+    Projector,
+    Rig,
+    box_corners,
+    rotation_yx,
+)
+from slbench.scene.file import read_merged
+from slbench.scene.tables import DetectorTable, Optics, ProjectorOptics
+
+Array = NDArray[np.float64]
+AnyDevice = TypeVar("AnyDevice", bound=Device)
+
+#: Names of the six design variables, as in files.
+VARIABLES = ("z_ref_mm", "w_mm", "h_mm", "l_mm", "alpha_p_deg", "beta_p_deg")
+
+_FLIP = np.array([1.0, -1.0, -1.0])  # world axes in the design frame (DESIGN section 3)
+#: A projector's axis closer to parallel to the reference plane than this never meets it.
+_GRAZING = 1e-9
+#: A camera this close to the point it aims at (mm) has no direction.
+_COINCIDENT_MM = 1e-6
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Devices placed by n configurations, in the world frame.
+
+    Parameters
+    ----------
+    camera_rotation, projector_rotation : (n, 3, 3) float
+        Columns are the device's axes.
+    camera_position, projector_position : (n, 3) float
+        Nodal points, mm.
+    camera_distance, projector_distance : (n,) float
+        From the nodal points to the world's origin, mm.
+    angle : (n,) float
+        Triangulation angle, rad.
+    valid : (n,) bool
+        False where the projector's axis does not meet the reference plane in front of it, or
+        the camera stands on the point it aims at; everything else is NaN there.
+    """
+
+    camera_rotation: Array
+    camera_position: Array
+    projector_rotation: Array
+    projector_position: Array
+    camera_distance: Array
+    projector_distance: Array
+    angle: Array
+    valid: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """Hardware to design a rig from (thesis tables 2 and 3).
+
+    Parameters
+    ----------
+    camera : Camera
+    projector : Projector
+        With bodies; their poses have no meaning here.
+    camera_distance_mm, projector_distance_mm : (float, float)
+        Shortest and longest working distance.
+    lower, upper : six floats
+        Ranges of z_ref, w, h, l (mm) and alpha_P, beta_P (rad).
+    volume_mm : (float, float, float)
+        Measurement volume along the world's axes, centred on the origin.
+    coded_axes : {1, 2}
+        Panel axes that the patterns encode: columns, or columns and rows.
+    circle_px : float
+        Acceptable circle of confusion, pixels of the device's own panel.
+    detector : Detector
+        Of the camera; the evaluator's geometry does without.
+    refocused : (bool, bool)
+        Whether camera and projector are focused on the world's origin wherever they stand;
+        otherwise their lenses stay at ``focus_distance_mm``.
+    """
+
+    camera: Camera
+    projector: Projector
+    camera_distance_mm: tuple[float, float]
+    projector_distance_mm: tuple[float, float]
+    lower: tuple[float, float, float, float, float, float]
+    upper: tuple[float, float, float, float, float, float]
+    volume_mm: tuple[float, float, float] = (60.0, 70.0, 30.0)
+    coded_axes: int = 1
+    circle_px: float = 1.0
+    refocused: tuple[bool, bool] = (True, True)
+    detector: Detector = field(default_factory=Detector)
+
+    def __post_init__(self) -> None:
+        for name in ("camera", "projector"):
+            near, far = getattr(self, f"{name}_distance_mm")
+            if not 0 < near < far < np.inf:
+                raise InputError(
+                    f"{name} working distance", "0 < shortest < longest (mm)", f"{near}, {far}"
+                )
+            device: Device = getattr(self, name)
+            if device.body_mm is None:
+                raise InputError(f"{name} body_mm", "the size of the housing (mm)", "none")
+            refocused = self.refocused[("camera", "projector").index(name)]
+            if refocused and device.lens.kind == "telecentric" and any(device.distortion):
+                raise InputError(
+                    f"{name} focus_distance_mm",
+                    "a fixed distance with a distorted telecentric lens",
+                    "none",
+                )
+            if not refocused and not np.isfinite(device.lens.focus_distance_mm):
+                raise InputError(f"{name} focus_distance_mm", "a finite distance", "infinity")
+        if len(self.lower) != 6 or len(self.upper) != 6:
+            raise InputError("design ranges", "six pairs", f"{len(self.lower)}, {len(self.upper)}")
+        for name, low, high in zip(VARIABLES, self.lower, self.upper, strict=True):
+            if not -np.inf < low <= high < np.inf:
+                raise InputError(f"range of {name}", "lowest <= highest, finite", f"{low}, {high}")
+            if name.endswith("deg") and max(abs(low), abs(high)) > np.pi / 2 + 1e-9:
+                raise InputError(f"range of {name}", "angles within 90 deg", f"{low}, {high} rad")
+        if self.lower[0] <= 0:
+            raise InputError("range of z_ref_mm", "positive distances", self.lower[0])
+        if len(self.volume_mm) != 3 or not all(0 < size < np.inf for size in self.volume_mm):
+            raise InputError("measurement volume", "three positive lengths (mm)", self.volume_mm)
+        if self.coded_axes not in (1, 2):
+            raise InputError("coded axes", "1 or 2", self.coded_axes)
+        if not 0 < self.circle_px < np.inf:
+            raise InputError("circle of confusion", "a positive number of pixels", self.circle_px)
+
+    @property
+    def volume_corners(self) -> Array:
+        """The eight corners of the measurement volume, (8, 3), world frame."""
+        half = np.array(self.volume_mm) / 2.0
+        return box_corners(-half, half)
+
+    def focused(self, device: AnyDevice, distance: float) -> AnyDevice:
+        """Return `device` focused at `distance` (mm), unless the hardware fixes its focus."""
+        if not self.refocused[0 if isinstance(device, Camera) else 1]:
+            return device
+        lens = device.lens
+        if lens.kind == "telecentric":
+            # Magnification and cone of rays stay: both lengths go with the distance.
+            scale = distance / lens.focus_distance_mm
+            moved = Lens(
+                lens.focal_length_mm * scale, lens.aperture_radius_mm * scale, distance, lens.kind
+            )
+        else:
+            moved = replace(lens, focus_distance_mm=distance)
+        return replace(device, lens=moved)
+
+    def rig(self, variables: DesignVariables | ArrayLike) -> Rig:
+        """Return the rig that one configuration describes, in focus.
+
+        Raises
+        ------
+        InputError
+            If the configuration is not a rig; see :class:`~slbench.rig.DesignVariables`.
+        """
+        if not isinstance(variables, DesignVariables):
+            variables = DesignVariables(*(float(x) for x in as_configurations(variables)[0]))
+        rig = Rig.from_design(variables, self.camera, self.projector, self.volume_mm)
+        return replace(
+            rig,
+            camera=self.focused(rig.camera, rig.camera_distance),
+            projector=self.focused(rig.projector, rig.projector_distance),
+        )
+
+    def place(self, configurations: ArrayLike | Sequence[DesignVariables]) -> Placement:
+        """Place both devices by many configurations (thesis eq. 3 and section 3.1.2).
+
+        Parameters
+        ----------
+        configurations : (n, 6) float or list of DesignVariables
+            In mm and rad.
+
+        Raises
+        ------
+        InputError
+            If they are not numbers, six each.
+        """
+        rows = as_configurations(configurations)
+        z_ref, alpha, beta = rows[:, 0], rows[:, 4], rows[:, 5]
+        projector = rotation_yx(alpha, beta)
+        axis = projector[:, :, 2]
+        meets = (z_ref > 0) & (axis[:, 2] > _GRAZING)
+        target = axis * (z_ref / np.where(meets, axis[:, 2], np.nan))[:, None]
+        view = target - rows[:, 1:4]
+        valid = meets & (np.linalg.norm(view, axis=1) > _COINCIDENT_MM)
+        view[~valid] = np.nan
+        target[~valid] = np.nan
+        camera = rotation_yx(
+            np.arctan2(view[:, 0], view[:, 2]),
+            np.arctan2(-view[:, 1], np.hypot(view[:, 0], view[:, 2])),
+        )
+        near, far = -view * _FLIP, -target * _FLIP
+        near_length, far_length = np.linalg.norm(near, axis=1), np.linalg.norm(far, axis=1)
+        cosine = np.sum(near * far, axis=1) / (near_length * far_length)
+        return Placement(
+            camera * _FLIP[:, None],
+            near,
+            projector * _FLIP[:, None],
+            far,
+            near_length,
+            far_length,
+            np.arccos(np.clip(cosine, -1.0, 1.0)),
+            valid,
+        )
+
+
+def as_configurations(values: ArrayLike | Sequence[DesignVariables]) -> Array:
+    """Return configurations as (n, 6) float, mm and rad; one row may stand alone.
+
+    Raises
+    ------
+    InputError
+        If they are not finite numbers, six each.
+    """
+    if isinstance(values, DesignVariables):
+        values = [values]
+    if isinstance(values, Sequence) and values and isinstance(values[0], DesignVariables):
+        values = [(v.z_ref, v.w, v.h, v.l, v.alpha_p, v.beta_p) for v in values]  # type: ignore[union-attr]
+    expected = "(n, 6) finite numbers: z_ref w h l (mm), alpha_P beta_P (rad)"
+    try:
+        rows = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("configurations", expected, error) from None
+    if rows.shape == (6,):
+        rows = rows[np.newaxis]
+    if rows.ndim != 2 or rows.shape[1] != 6:
+        raise InputError("configurations", expected, f"shape {rows.shape}")
+    bad = np.flatnonzero(~np.all(np.isfinite(rows), axis=1))
+    if bad.size:
+        raise InputError(f"configurations[{bad[0]}]", expected, rows[bad[0]].tolist())
+    return rows
+
+
+def read_configurations(path: str | Path) -> Array:
+    """Read configurations from a CSV file with the columns of :data:`VARIABLES`.
+
+    Parameters
+    ----------
+    path : str or Path
+        The columns may stand in any order; the angles are in degrees.
+
+    Returns
+    -------
+    (n, 6) float
+        In mm and rad.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or empty, a column is missing or unknown, or a cell is not a
+        finite number, with its line.
+    """
+    result = read_table(path, VARIABLES)
+    result[:, 4:] = np.deg2rad(result[:, 4:])
+    return result
+
+
+Range = tuple[Finite, Finite]
+Distance = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
+
+
+class _Design(Parameters):
+    camera_working_distance_mm: tuple[Distance, Distance]
+    projector_working_distance_mm: tuple[Distance, Distance]
+    z_ref_mm: Range
+    w_mm: Range
+    h_mm: Range
+    l_mm: Range
+    alpha_p_deg: Range
+    beta_p_deg: Range
+    coded_axes: int = 1
+    circle_of_confusion_px: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+
+
+class _Volume(Parameters):
+    volume_mm: tuple[Distance, Distance, Distance]
+
+
+class _HardwareFile(Parameters):
+    camera: Optics
+    projector: ProjectorOptics
+    rig: dict[str, Any]
+    design: _Design
+    detector: DetectorTable = DetectorTable()
+    # What else a scene may hold: it is no concern of the design.
+    name: Any = None
+    description: Any = None
+    objects: Any = None
+    materials: Any = None
+    light: Any = None
+    exposure: Any = None
+    patterns: Any = None
+    render: Any = None
+    preview: Any = None
+
+
+def load_hardware(name_or_path: str | Path) -> Hardware:
+    """Load hardware from a TOML file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A file, or the name of a shipped one such as ``"hardware/macro-ch6"``.  A scene that
+        extends hardware is hardware, too.
+
+    Returns
+    -------
+    Hardware
+
+    Raises
+    ------
+    InputError
+        Naming the file and key of the first thing that cannot be used.
+    """
+    path = resources.find("scenes", name_or_path)
+    content = read_merged(path)
+    if "design" not in content:
+        raise InputError(f"{path.name}: design", "a table of working distances and ranges", "none")
+    file = validated(_HardwareFile, content, path.name, separator=": ")
+    region = {key: file.rig[key] for key in ("volume_mm",) if key in file.rig}
+    volume = validated(_Volume, region, f"{path.name}: rig").volume_mm
+    design = file.design
+    ranges = np.array([getattr(design, name) for name in VARIABLES])
+    ranges[4:] = np.deg2rad(ranges[4:])
+    cameras, projectors = design.camera_working_distance_mm, design.projector_working_distance_mm
+    try:
+        # A lens focused on the origin gets its true distance once it has a place.
+        camera = Camera(**file.camera.arguments(max(cameras)))
+        projector = Projector(**file.projector.arguments(max(projectors)))
+        lower, upper = (tuple(float(x) for x in column) for column in ranges.T)
+        return Hardware(
+            camera,
+            projector,
+            cameras,
+            projectors,
+            lower,  # type: ignore[arg-type]
+            upper,  # type: ignore[arg-type]
+            volume,
+            design.coded_axes,
+            design.circle_of_confusion_px,
+            (file.camera.focus_distance_mm is None, file.projector.focus_distance_mm is None),
+            file.detector.detector(),
+        )
+    except InputError as error:
+        raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
+
+
+def thesis_configurations(hardware: Hardware) -> Array | None:
+    """Return the 18 configurations of thesis table 4, where the hardware is the thesis's.
+
+    Returns
+    -------
+    (18, 6) float or None
+        None where optics, panels, bodies or measurement volume are others.
+    """
+    path = resources.find("scenes", "hardware/macro-ch6")
+    theirs = load_hardware(path)
+    same = hardware.volume_mm == theirs.volume_mm
+    for name in ("camera", "projector"):
+        ours, other = getattr(hardware, name), getattr(theirs, name)
+        same &= replace(ours, pose=other.pose) == other
+    return read_configurations(path.with_name("table4.csv")) if same else None

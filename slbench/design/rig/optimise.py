@@ -1,0 +1,300 @@
+"""The rig optimiser: search, cluster, recommend (thesis 3.2, and 5.2 for microscopes).
+
+Direct MultiSearch minimises the objectives of thesis eq. 20 over the six design variables,
+subject to g1..g6:
+
+* ``error``: ``mu sigma``, mean times standard deviation of the expected error, mm^2;
+* ``coverage``: ``-eta N_s``, share of the panel used times number of points;
+* ``dispersion``: ``-d``, distance between neighbouring points, mm.
+
+For a microscope (``micro``, thesis 5.2) there is one objective, ``volume``: minus the cube root
+of the largest box inside both in-focus volumes, mm.  It takes the place of g3, that the given
+volume be in focus.
+
+The front is clustered by its design variables, and each cluster's member nearest to its
+centroid represents it.  **Recommended** is the representative nearest to the ideal point, at
+which each objective has its best value (compromise programming, Zeleny 1973).  Objectives are
+compared by their ranks over the front, 0 the best and 1 the worst, as their values have long
+tails: a single rig with a hopeless error would make all others look alike.  Any other
+representative may be picked by its number.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import differential_evolution
+from scipy.stats import rankdata
+
+from slbench.core.errors import InputError
+from slbench.design.rig.constraints import CONSTRAINTS, diagnose, placed_margins
+from slbench.design.rig.evaluate import Evaluation, evaluate
+from slbench.design.rig.hardware import VARIABLES, Hardware, Placement
+from slbench.design.rig.volume import largest_box
+from slbench.design.search import multisearch
+from slbench.design.search.clustering import Clusters, cluster_front
+from slbench.design.search.front import Front
+from slbench.rig import Pose
+
+Array = NDArray[np.float64]
+
+OBJECTIVES = ("error", "coverage", "dispersion")
+
+
+@dataclass(frozen=True, eq=False)
+class RigDesign:
+    """What the optimiser found.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    objectives : tuple of str
+        Names of the columns of ``front.f``.
+    front : Front
+        Design variables in mm and rad.
+    evaluation : Evaluation
+        Metrics and margins of the front's members.
+    clusters : Clusters
+    recommended : int
+        Number of the recommended cluster.
+    seconds : float
+        Time that the search took.
+    """
+
+    hardware: Hardware
+    objectives: tuple[str, ...]
+    front: Front
+    evaluation: Evaluation
+    clusters: Clusters
+    recommended: int
+    seconds: float
+
+    def member(self, cluster: int | None = None) -> int:
+        """Return the front's member that represents a cluster (default: the recommended).
+
+        Raises
+        ------
+        InputError
+            If there is no such cluster.
+        """
+        number = self.recommended if cluster is None else cluster
+        whole = isinstance(number, (int, np.integer)) and not isinstance(number, bool)
+        if not whole or not 0 <= number < len(self.clusters):
+            raise InputError("cluster", f"0 to {len(self.clusters) - 1}", number)
+        return int(self.clusters.representatives[number])
+
+
+def optimise(
+    hardware: Hardware,
+    *,
+    objectives: Sequence[str] = OBJECTIVES,
+    micro: bool = False,
+    max_evaluations: int = 20_000,
+    seed: int = 0,
+    start: Front | ArrayLike | None = None,
+    max_footprint_mm: float | None = None,
+    min_angle_deg: float | None = None,
+    on_progress: Callable[[Front], object] | None = None,
+) -> RigDesign:
+    """Search for the best rigs that given hardware can form.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    objectives : sequence of {"error", "coverage", "dispersion"}
+        Which to minimise.
+    micro : bool
+        Maximise the measurement volume instead.
+    max_evaluations : int
+        Budget of evaluated configurations.
+    seed : int
+    start : Front or (n, 6) float, optional
+        A front to go on from, or configurations (mm, rad) to begin at.  A front found with
+        other hardware, objectives or constraints gives its configurations only.
+    max_footprint_mm : float, optional
+        Largest horizontal extent, along x and along y, of both bodies and the volume.
+    min_angle_deg : float, optional
+        Smallest triangulation angle.
+    on_progress : callable, optional
+        Called with the front so far after every batch; False ends the search.
+
+    Returns
+    -------
+    RigDesign
+        Of the front so far when interrupted.
+
+    Raises
+    ------
+    InputError
+        If nothing feasible is found, with the constraint that fails, by how much, for the
+        least infeasible configuration; or an argument is not as above.
+    """
+    names = tuple(objectives)
+    unknown = [name for name in names if name not in OBJECTIVES]
+    if unknown or not names or len(set(names)) != len(names):
+        raise InputError("objectives", f"some of {', '.join(OBJECTIVES)}", ", ".join(names))
+    for label, value in (("footprint", max_footprint_mm), ("angle", min_angle_deg)):
+        if value is not None and not 0 < value < np.inf:
+            raise InputError(f"constraint on {label}", "a positive number", value)
+    columns = [OBJECTIVES.index(name) for name in names]
+    binding = [k for k, name in enumerate(CONSTRAINTS) if not (micro and name == "g3")]
+
+    def values(x: Array) -> Array:
+        if micro:
+            return -np.cbrt(np.prod(largest_box(hardware, x), axis=1))[:, None]
+        return evaluate(hardware, x).objectives[:, columns]
+
+    def spare(x: Array) -> Array:
+        placement = hardware.place(x)
+        parts = [placed_margins(hardware, placement)[:, binding]]
+        if min_angle_deg is not None:
+            parts.append(np.rad2deg(placement.angle)[:, None] - min_angle_deg)
+        if max_footprint_mm is not None:
+            parts.append(max_footprint_mm - footprint_mm(hardware, placement)[:, None])
+        return np.concatenate(parts, axis=1)
+
+    def feasible(x: Array) -> NDArray[np.bool_]:
+        return np.all(spare(x) > 0, axis=1)
+
+    begin = time.perf_counter()
+    if micro and start is None:
+        start = _large_volume(hardware, values, spare, seed)
+    try:
+        with _one_thread():
+            if isinstance(start, Front):
+                start = _usable(start, values, feasible)
+            front = multisearch.minimize(
+                values,
+                np.array(hardware.lower),
+                np.array(hardware.upper),
+                feasible,
+                max_evaluations=max_evaluations,
+                seed=seed,
+                on_progress=on_progress,
+                start=start,
+            )
+    except InputError as error:
+        if error.where != "constraints":
+            raise
+        limits = {"footprint_mm": max_footprint_mm, "angle_deg": min_angle_deg}
+        raise _nothing_feasible(hardware, limits) from None
+    if not len(front):
+        raise InputError(
+            "evaluations", "enough to find a feasible configuration", f"{max_evaluations}, used up"
+        )
+    seconds = time.perf_counter() - begin
+    clusters = cluster_front(front, seed)
+    return RigDesign(
+        hardware,
+        ("volume",) if micro else names,
+        front,
+        evaluate(hardware, front.x),
+        clusters,
+        _nearest_to_ideal(front.f, clusters),
+        seconds,
+    )
+
+
+def _large_volume(
+    hardware: Hardware,
+    values: Callable[[Array], Array],
+    spare: Callable[[Array], Array],
+    seed: int,
+) -> Array | None:
+    """Return a configuration of large volume to begin at, (1, 6), or None if none is feasible.
+
+    With one objective the multisearch polls around a single point, and narrow working
+    distances couple the variables so that steps along one of them lead nowhere.  Differential
+    evolution, which moves in all of them, finds the basin; the multisearch then polishes.
+    """
+
+    def cost(columns: Array) -> Array:
+        x = columns.T
+        violation = np.maximum(-np.nan_to_num(spare(x), neginf=-1e6), 0.0).sum(axis=1)
+        good = np.all(spare(x) > 0, axis=1)
+        result = np.asarray(1.0 + violation, dtype=np.float64)
+        if good.any():
+            result[good] = values(x[good])[:, 0]
+        return result
+
+    found = differential_evolution(
+        cost,
+        np.column_stack((hardware.lower, hardware.upper)),
+        rng=seed,
+        popsize=30,
+        maxiter=150,
+        tol=1e-6,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+    )
+    return np.atleast_2d(found.x) if found.fun < 0 else None
+
+
+def footprint_mm(hardware: Hardware, placement: Placement) -> Array:
+    """Return the larger horizontal extent of bodies and volume for each configuration, (n,)."""
+    low = np.full((len(placement.valid), 2), -np.array(hardware.volume_mm[:2]) / 2.0)
+    high = -low
+    for device, rotation, position in (
+        (hardware.camera, placement.camera_rotation, placement.camera_position),
+        (hardware.projector, placement.projector_rotation, placement.projector_position),
+    ):
+        corners = (
+            device.posed(Pose()).body_corners @ np.swapaxes(rotation, 1, 2) + position[:, None]
+        )
+        low = np.fmin(low, corners[..., :2].min(axis=1))
+        high = np.fmax(high, corners[..., :2].max(axis=1))
+    return np.asarray((high - low).max(axis=1), dtype=np.float64)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Evaluate on one core: a poll is a dozen configurations.
+
+    Two cores save a fifth of the time while they are idle, and cost a multiple of it, waiting
+    for each other at the end of every poll, when anything else runs.
+    """
+    before = numba.get_num_threads()
+    numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(before)
+
+
+def _usable(
+    front: Front,
+    values: Callable[[Array], Array],
+    feasible: Callable[[Array], NDArray[np.bool_]],
+) -> Front | Array:
+    """Return a front to go on from; of one that does not fit this search, its configurations."""
+    if not len(front) or front.x.shape[1] != len(VARIABLES):
+        return front
+    if np.all(feasible(front.x)):
+        f = values(front.x)
+        if f.shape == front.f.shape and np.allclose(f, front.f, rtol=1e-6, atol=0.0):
+            return front
+    return front.x
+
+
+def _nothing_feasible(hardware: Hardware, limits: dict[str, float | None]) -> InputError:
+    diagnosis = diagnose(hardware)
+    given = [f"{name} {value:g}" for name, value in limits.items() if value is not None]
+    if not diagnosis.feasible or not given:
+        return InputError("hardware", "a feasible configuration", diagnosis)
+    return InputError(
+        "constraints",
+        "a feasible configuration",
+        f"none found within the limits {', '.join(given)}; without them: {diagnosis}",
+    )
+
+
+def _nearest_to_ideal(f: Array, clusters: Clusters) -> int:
+    rank = (rankdata(f, axis=0) - 1.0) / max(len(f) - 1, 1)
+    return int(np.argmin(np.linalg.norm(rank[clusters.representatives], axis=1)))

@@ -1,0 +1,178 @@
+"""Is the evaluator's model right?  Plane scans of the same rigs through the whole pipeline.
+
+The evaluator (thesis 3.1) knows geometry and the grids of pixels.  A rendered scan adds what
+it leaves out: fringes that interpolate between panel pixels, the detector's noise and rounding,
+defocus, light that falls off.  :func:`rendered_errors` measures a plate in each configuration;
+:func:`verify` ranks configurations by prediction and by measurement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import spearmanr
+
+from slbench import objects
+from slbench.capture.capture import capture
+from slbench.cloud.triangulation import triangulate
+from slbench.core.errors import InputError
+from slbench.core.io import atomic_path
+from slbench.design.rig.evaluate import Evaluation, evaluate
+from slbench.design.rig.hardware import Hardware, as_configurations
+from slbench.patterns import PatternSequence
+from slbench.rig import Pose
+from slbench.scene.model import Scene, SceneObject
+from slbench.score.points import point_errors
+
+Array = NDArray[np.float64]
+
+#: Heights of the plate as shares of the volume's half depth.
+_HEIGHTS = (-0.8, 0.0, 0.8)
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """Predicted and rendered errors of n configurations.
+
+    Parameters
+    ----------
+    predicted : Evaluation
+    rendered_mm : (n,) float
+        RMS distance of measured from true points on smooth surface, mm.
+    rendered_z_mm : (n,) float
+        The same along the world's z axis.
+    rank_correlation : float
+        Spearman's, of predicted mean error and ``rendered_mm``.
+    """
+
+    predicted: Evaluation
+    rendered_mm: Array
+    rendered_z_mm: Array
+    rank_correlation: float
+
+
+def rendered_errors(
+    hardware: Hardware,
+    configuration: ArrayLike,
+    *,
+    patterns: str = "1,5",
+    samples: int = 16,
+    seed: int = 0,
+    noise: bool = True,
+    heights_mm: Sequence[float] | None = None,
+) -> tuple[float, float]:
+    """Scan a plate of the volume's size and return the RMS errors over its heights, mm.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    configuration : (6,) float
+        Design variables, mm and rad.
+    patterns : str
+        Fringes of three shifts; thesis 6.2.2 projects one and five.
+    samples : int
+        Monte Carlo samples a pixel.
+    seed : int
+    noise : bool
+    heights_mm : sequence of float, optional
+        Heights of the plate; three through the volume by default.
+
+    Returns
+    -------
+    distance, height : float
+        RMS of the distance from the true point and of its z component, over smooth lit
+        surface of all heights; NaN where nothing was measured.
+    """
+    from slbench.simulate.render.groundtruth import ground_truth
+    from slbench.simulate.render.trace import trace
+
+    rig = hardware.rig(configuration)
+    size = hardware.volume_mm
+    plate = objects.build(
+        "plane", {"size_mm": [size[0], size[1]], "thickness_mm": 0.1 * min(size[:2])}
+    )
+    squares: list[Array] = []
+    heights = [h * size[2] / 2 for h in _HEIGHTS] if heights_mm is None else heights_mm
+    for k, height in enumerate(heights):
+        scene = Scene(
+            "plate",
+            rig,
+            (SceneObject(plate, Pose(np.eye(3), np.array([0.0, 0.0, height]))),),
+            PatternSequence.parse(patterns, (rig.projector.width, rig.projector.height)),
+            hardware.detector,
+            samples=samples,
+        )
+        transport = trace(scene, seed=seed + k)
+        truth = ground_truth(scene)
+        cloud = triangulate(rig, capture(scene, transport, seed=seed + k, noise=noise).decode())
+        error = point_errors(cloud, truth)[truth.smooth()[cloud.pixels[:, 1], cloud.pixels[:, 0]]]
+        squares.append(error**2)
+    everything = np.concatenate(squares)
+    if not len(everything):
+        return float("nan"), float("nan")
+    mean = everything.mean(axis=0)
+    return float(np.sqrt(mean.sum())), float(np.sqrt(mean[2]))
+
+
+def verify(
+    hardware: Hardware,
+    configurations: ArrayLike,
+    *,
+    patterns: str = "1,5",
+    samples: int = 16,
+    seed: int = 0,
+    on_progress: Callable[[str, float], None] | None = None,
+) -> Verification:
+    """Predict and render many configurations and compare their ranks.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    configurations : (n, 6) float
+        At least three, mm and rad.
+    patterns, samples, seed
+        As for :func:`rendered_errors`.
+    on_progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        For fewer than three configurations.
+    """
+    rows = as_configurations(configurations)
+    if len(rows) < 3:
+        raise InputError("configurations", "at least 3, to compare ranks", len(rows))
+    errors = np.empty((len(rows), 2))
+    for i, row in enumerate(rows):
+        errors[i] = rendered_errors(
+            hardware, row, patterns=patterns, samples=samples, seed=seed + 100 * i
+        )
+        if on_progress:
+            on_progress("render", (i + 1) / len(rows))
+    predicted = evaluate(hardware, rows)
+    both = np.isfinite(errors[:, 0]) & np.isfinite(predicted.mu_mm)
+    rank = float(spearmanr(predicted.mu_mm[both], errors[both, 0]).statistic)
+    return Verification(predicted, errors[:, 0], errors[:, 1], rank)
+
+
+def draw(result: Verification, path: str | Path) -> None:
+    """Draw rendered against predicted errors, each configuration with its number."""
+    figure = Figure(figsize=(6.4, 5.2), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    x, y = 1e3 * result.predicted.mu_mm, 1e3 * result.rendered_mm
+    axes.loglog(x, y, "o", markersize=4)
+    for k, (a, b) in enumerate(zip(x, y, strict=True)):
+        axes.annotate(str(k + 1), (a, b), textcoords="offset points", xytext=(4, 3), fontsize=8)
+    axes.set_xlabel("predicted mean error μ / µm")
+    axes.set_ylabel("rendered RMS error of a plate / µm")
+    axes.set_title(f"Spearman's rank correlation {result.rank_correlation:.2f}")
+    axes.grid(visible=True, which="both", alpha=0.3)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png")

@@ -1,0 +1,1 @@
+"""Direct MultiSearch, fronts and clusters; nothing here knows of rigs."""

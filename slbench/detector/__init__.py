@@ -1,0 +1,1 @@
+"""The camera's detector: from photons to digital numbers."""

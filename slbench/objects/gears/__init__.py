@@ -1,0 +1,1 @@
+"""Gears and how they are measured."""

@@ -1,0 +1,1 @@
+"""Tools that artefacts are meshed with: solids, booleans, height fields, shells, files."""

@@ -1,0 +1,1 @@
+"""Parts as they come from a workshop: brick, propeller, engine block, coins."""

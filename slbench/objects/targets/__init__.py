@@ -1,0 +1,1 @@
+"""Flat targets for calibration: dots, circles, squares."""

@@ -1,0 +1,158 @@
+"""Figures: an image with its scale, an artefact, a rig, a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+
+from slbench.core.io import atomic_path
+from slbench.objects import Artefact
+from slbench.rig import Rig, box_corners
+from slbench.scene.model import Scene, SceneObject
+
+
+def draw_image(
+    axes: Any,
+    image: NDArray,
+    title: str,
+    colours: str,
+    unit: str,
+    *,
+    limits: tuple[float, float] | None = None,
+    robust: float = 0.0,
+) -> None:
+    """Draw an image with its colour bar; `robust` per cent of each tail may be cut off."""
+    finite = image[np.isfinite(image)]
+    if limits is None and finite.size:
+        low, high = np.percentile(finite, [robust, 100.0 - robust])
+        limits = (float(low), float(high))
+    low, high = limits or (0.0, 1.0)
+    # Pixel centres at integers, v downwards: imshow's own convention.
+    shown = axes.imshow(image, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
+    axes.set_title(title)
+    axes.set_facecolor("0.85")
+    axes.set_xlabel("u / px")
+    axes.set_ylabel("v / px")
+    axes.figure.colorbar(shown, ax=axes, shrink=0.8, label=unit)
+
+
+def object_picture(
+    artefact: Artefact, image: NDArray[np.float64], mm_per_px: float, path: str | Path
+) -> None:
+    """Draw a shaded artefact with its name, size and a scale bar.
+
+    Parameters
+    ----------
+    artefact : Artefact
+    image : (V, U) float
+        From :func:`slbench.simulate.render.show.shade`.
+    mm_per_px : float
+    path : path of the PNG
+    """
+    figure = Figure(figsize=(6.4, 6.9), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    draw_object(axes, artefact, image, mm_per_px)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def draw_object(
+    axes: Any, artefact: Artefact, image: NDArray[np.float64], mm_per_px: float
+) -> None:
+    """Draw a shaded artefact into matplotlib `axes`; see :func:`object_picture`."""
+    axes.imshow(image, cmap="gray", vmin=0.0, vmax=1.0)
+    length = _round_length(0.25 * image.shape[1] * mm_per_px)
+    u, v = 0.05 * image.shape[1], 0.95 * image.shape[0]
+    axes.plot([u, u + length / mm_per_px], [v, v], "k", linewidth=3)
+    label = f"{length:g} mm" if length >= 0.1 else f"{1e3 * length:g} µm"
+    axes.text(u, v - 0.015 * image.shape[0], label, va="bottom", fontsize=9)
+    size = artefact.mesh.bounds[1] - artefact.mesh.bounds[0]
+    axes.set_title(f"{artefact.name}\n{size[0]:.4g} x {size[1]:.4g} x {size[2]:.4g} mm", fontsize=9)
+    axes.set_axis_off()
+
+
+def _round_length(length: float) -> float:
+    """Return the largest 1, 2 or 5 times a power of ten that is at most `length`."""
+    decade = 10.0 ** np.floor(np.log10(length))
+    return float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= length))
+
+
+def scene_picture(scene: Scene, view: NDArray[np.float32], path: str | Path) -> None:
+    """Draw a scene: the rig to scale from the front and from the side, and a camera image.
+
+    Parameters
+    ----------
+    scene : Scene
+    view : (V, U) float
+        Radiance under the fully lit panel.
+    path : path of the PNG
+    """
+    figure = Figure(figsize=(14.0, 6.0), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    front, side, picture = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.2])
+    for axes, across, title in ((front, 0, "front: x, z"), (side, 1, "side: y, z")):
+        draw_rig(axes, scene.rig, scene.objects, across)
+        axes.set_title(title)
+    figure.legend(*front.get_legend_handles_labels(), fontsize=9, loc="outside lower left", ncols=3)
+    bright = max(float(np.percentile(view, 99.5)), 1e-30)
+    draw_image(picture, view / bright, "camera's view, panel white", "gray", "", limits=(0.0, 1.0))
+    rig = scene.rig
+    figure.suptitle(
+        f"{scene.name}: camera {rig.camera_distance:.4g} mm, projector "
+        f"{rig.projector_distance:.4g} mm, angle {np.rad2deg(rig.angle):.1f}°"
+    )
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def draw_rig(axes: Any, rig: Rig, objects: Sequence[SceneObject], across: int) -> None:
+    """Draw devices, frusta, volume and objects as seen along one horizontal world axis.
+
+    Parameters
+    ----------
+    axes : matplotlib axes
+    rig : Rig
+    objects : sequence of SceneObject
+        Drawn as their bounding boxes.
+    across : {0, 1}
+        World axis to the right: x or y; z is up.
+    """
+    for device, colour, name in ((rig.camera, "C0", "camera"), (rig.projector, "C1", "projector")):
+        centre = device.pose.position
+        distance = float(np.linalg.norm(centre))
+        frustum = device.frustum(1e-3 * distance, 1.05 * distance)
+        _outline(axes, frustum, across, colour, 0.12)
+        _outline(axes, device.body_corners, across, colour, 0.6)
+        axes.plot(centre[across], centre[2], "o", color=colour, markersize=4, label=name)
+        axes.plot([centre[across], 0.0], [centre[2], 0.0], color=colour, linewidth=0.7)
+    for item in objects:
+        corners = box_corners(*item.artefact.mesh.bounds)
+        _outline(axes, item.pose.to_world(corners), across, "0.3", 0.5)
+    _outline(axes, rig.volume_corners, across, "C2", 0.25, label="measurement volume")
+    axes.set_aspect("equal")
+    axes.set_xlabel(f"{'xy'[across]} / mm")
+    axes.set_ylabel("z / mm")
+
+
+def _outline(
+    axes: Any,
+    points: NDArray[np.float64],
+    across: int,
+    colour: str,
+    alpha: float,
+    label: str | None = None,
+) -> None:
+    """Fill the silhouette (convex hull) of points as seen along a horizontal axis."""
+    if not len(points):
+        return
+    flat = points[:, [across, 2]]
+    hull = flat[ConvexHull(flat).vertices]
+    axes.fill(*hull.T, color=colour, alpha=alpha, linewidth=0.8, label=label)

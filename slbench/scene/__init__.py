@@ -1,0 +1,1 @@
+"""Scenes: rig, objects, materials, light, detector and patterns of one measurement."""

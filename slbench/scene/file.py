@@ -1,0 +1,226 @@
+"""Scene files: TOML to :class:`slbench.scene.model.Scene`.
+
+Keys and their values are :mod:`slbench.scene.tables`'s.  A path written in a scene is relative
+to the scene's folder and cannot leave it.
+
+``extends = "..."`` takes everything from another scene first: tables are merged key by key,
+anything else (lists too) is replaced.  What several scenes share thus stands once, in
+``scenes/hardware``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from slbench import objects
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.core.io import read_toml
+from slbench.core.validation import validated
+from slbench.patterns import PatternSequence
+from slbench.rig import Camera, DesignVariables, Pose, Projector, Rig
+from slbench.rig.opencv import read_rig
+from slbench.scene.materials import PRESETS, Material
+from slbench.scene.model import Exposure, Light, Scene, SceneObject
+from slbench.scene.tables import SceneTables
+
+#: Width of a preview where the scene states no divisor, px.
+_PREVIEW_WIDTH = 320
+
+
+def load_scene(name_or_path: str | Path, *, preview: bool = False) -> Scene:
+    """Load a scene from a TOML file.
+
+    Parameters
+    ----------
+    name_or_path : str or Path
+        A file, or the name of a shipped scene such as ``"step-block"``.
+    preview : bool
+        Fewer camera pixels and samples, so that a scan takes seconds: the scene's
+        ``[preview]``, by default at most 320 pixels wide with 16 samples each.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    InputError
+        Naming the file and key of the first thing that cannot be used.
+    """
+    path = resources.find("scenes", name_or_path)
+    scene, file = _load(path, _objects)
+    if not preview:
+        return scene
+    divisor = file.preview.divisor or max(1, -(-scene.rig.camera.width // _PREVIEW_WIDTH))
+    return scene.coarser(divisor, file.preview.samples)
+
+
+def load_settings(path: Path) -> Scene:
+    """Load a scene with a plane in the place of its objects, which cost most to load.
+
+    That is all that exposing frames from light transport needs, however many its objects are
+    and whether or not their files are at hand.
+
+    Raises
+    ------
+    InputError
+        As :func:`load_scene`, but for the objects.
+    """
+    return _load(path, lambda file, path: _placeholder())[0]
+
+
+@cache
+def _placeholder() -> tuple[SceneObject, ...]:
+    return (SceneObject(objects.load("plane")),)
+
+
+def _load(
+    path: Path, build_objects: Callable[[SceneTables, Path], tuple[SceneObject, ...]]
+) -> tuple[Scene, SceneTables]:
+    content = read_merged(path)
+    file = validated(SceneTables, content, path.name, separator=": ")
+    try:
+        return _build(file, path, content, build_objects(file, path)), file
+    except InputError as error:
+        if error.where.startswith(path.name):
+            raise
+        raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
+
+
+def read_merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Read a scene file, merged into what it extends."""
+    return extended(read_toml(path), path, seen)
+
+
+def extended(content: dict[str, Any], path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Return a scene's content merged into what it extends; `path` is where it was read."""
+    content = dict(content)
+    base = content.pop("extends", None)
+    if base is None:
+        return content
+    where = f"{path.name}: extends"
+    if not isinstance(base, str):
+        raise InputError(where, "a scene file beside it or the name of a shipped scene", repr(base))
+    try:
+        if base.endswith(".toml"):
+            parent = resources.inside(path.parent, base)
+        else:
+            parent = resources.find("scenes", base)
+    except InputError as error:
+        raise InputError(where, error.expected, error.got) from None
+    seen = (*seen, path.resolve())
+    if parent.resolve() in seen:
+        raise InputError(where, "a chain of scenes with an end", f"{base}, which comes again")
+    return _merged(read_merged(parent, seen), content)
+
+
+def _merged(base: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:
+    result = dict(base)
+    for key, value in content.items():
+        both = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = _merged(result[key], value) if both else value
+    return result
+
+
+def _build(
+    file: SceneTables, path: Path, content: dict[str, Any], scene_objects: tuple[SceneObject, ...]
+) -> Scene:
+    rig = _rig(file, path.parent)
+    panel = (rig.projector.width, rig.projector.height)
+    return Scene(
+        name=file.name,
+        rig=rig,
+        objects=scene_objects,
+        sequence=PatternSequence.parse(
+            file.patterns.sequence, panel, file.patterns.shifts, file.patterns.axes
+        ),
+        detector=file.detector.detector(),
+        exposure=Exposure(
+            None if file.exposure.time_ms is None else file.exposure.time_ms * 1e-3,
+            file.exposure.white_level,
+            file.exposure.vibration_px,
+        ),
+        light=Light(file.light.ambient_w_per_m2 * 1e-6, file.light.bounces),
+        samples=file.render.samples,
+        specification=content,
+        focus=None if file.focus is None else file.focus.focus(rig),
+    )
+
+
+def _rig(file: SceneTables, folder: Path) -> Rig:
+    values = file.rig
+    if values.file is not None:
+        return read_rig(resources.inside(folder, values.file))
+    assert file.camera is not None  # both by _devices
+    assert file.projector is not None
+    if values.camera is not None and values.projector is not None:
+        poses = [
+            Pose.looking_at(place.position_mm, place.target_mm, place.down)
+            for place in (values.camera, values.projector)
+        ]
+    else:
+        z_ref, w, h, length, alpha, beta = (float(x or 0.0) for x in values.design_values())
+        design = DesignVariables(
+            z_ref, w, h, length, float(np.deg2rad(alpha)), float(np.deg2rad(beta))
+        )
+        poses = list(design.poses())
+        if poses[0].position[2] <= 0:
+            raise InputError("rig.l_mm", "a camera in front of the reference plane", length)
+    # In focus where the axis comes closest to the origin, unless the file says otherwise.
+    camera_focus, projector_focus = (float(-pose.position @ pose.rotation[:, 2]) for pose in poses)
+    for name, distance in (("camera", camera_focus), ("projector", projector_focus)):
+        if distance <= 0:
+            raise InputError(f"rig.{name}", "a device that faces the origin", "it faces away")
+    camera = Camera(**file.camera.arguments(camera_focus), pose=poses[0])
+    projector = Projector(**file.projector.arguments(projector_focus), pose=poses[1])
+    return Rig(camera, projector, values.volume_mm)
+
+
+def _objects(file: SceneTables, path: Path) -> tuple[SceneObject, ...]:
+    return tuple(_object(file, index, path) for index in range(len(file.objects)))
+
+
+def _object(file: SceneTables, index: int, path: Path) -> SceneObject:
+    values = file.objects[index]
+    where = f"{path.name}: objects[{index}]"
+    if values.artefact is not None:
+        given = values.artefact
+        is_file = given.endswith(".toml") or "/" in given or "\\" in given
+        artefact = objects.load(resources.inside(path.parent, given) if is_file else given)
+    elif values.mesh is not None:
+        parameters = {"path": values.mesh, "unit": values.unit, "centre": values.centre}
+        artefact = objects.build(
+            "mesh", parameters, where, name=Path(values.mesh).stem, folder=path.parent
+        )
+    else:
+        assert values.kind is not None  # by _one_shape
+        artefact = objects.build(
+            values.kind, values.parameters, f"{where}.parameters", folder=path.parent
+        )
+    material = Material()
+    if values.material is not None:
+        material = _material(file, values.material, f"{where}.material")
+    by_part = {
+        part: _material(file, name, f"{where}.materials.{part}")
+        for part, name in values.materials.items()
+    }
+    rotation = Rotation.from_euler("XYZ", values.rotation_deg, degrees=True).as_matrix()
+    pose = Pose(rotation, np.array(values.position_mm))
+    return SceneObject(artefact, pose, material, by_part)
+
+
+def _material(file: SceneTables, name: str, where: str) -> Material:
+    """Return a material of the scene's own or a preset; the scene's own come first."""
+    if name in file.materials:
+        return Material(**file.materials[name].model_dump())
+    if name in PRESETS:
+        return PRESETS[name]
+    known = ", ".join((*file.materials, *PRESETS))
+    raise InputError(where, f"one of the materials {known}", name)

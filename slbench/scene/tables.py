@@ -1,0 +1,294 @@
+"""The tables and keys of a scene file, and what their values may be.
+
+The unit of a number is in its key; an unknown key, a missing one or a value of the wrong kind
+is refused with the key's full name.  ``docs/scene-files.md`` lists the keys.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from slbench.core.validation import Finite, Parameters
+from slbench.detector.emva1288 import Detector
+from slbench.rig import Lens, Rig
+from slbench.scene.model import MAX_SETTINGS, Focus
+
+Positive = Annotated[float, Field(ge=1e-9, le=1e9, allow_inf_nan=False)]
+Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
+Vector3 = tuple[Coordinate, Coordinate, Coordinate]
+
+
+class Optics(Parameters):
+    """What camera and projector have in common."""
+
+    resolution_px: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
+    pitch_um: Positive | tuple[Positive, Positive]
+    focal_length_mm: Positive | None = None
+    f_number: Positive | None = None
+    aperture_radius_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    focus_distance_mm: Positive | None = None
+    magnification: Positive | None = None
+    numerical_aperture: Annotated[float, Field(ge=0, lt=1)] | None = None
+    natural_vignetting: bool = True
+    principal_point_px: tuple[Finite, Finite] | None = None
+    distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    tilt_deg: tuple[Finite, Finite] = (0.0, 0.0)
+    body_mm: tuple[Positive, Positive, Positive] | None = None
+
+    @model_validator(mode="after")
+    def _one_lens(self) -> Optics:
+        if (self.focal_length_mm is None) == (self.magnification is None):
+            raise ValueError(
+                "focal_length_mm (perspective) or magnification (telecentric), one of them"
+            )
+        if self.f_number is not None and self.aperture_radius_mm is not None:
+            raise ValueError("f_number or aperture_radius_mm, not both")
+        if self.magnification is None and self.numerical_aperture is not None:
+            raise ValueError("numerical_aperture with a telecentric lens only")
+        if self.magnification is not None and (self.f_number or self.aperture_radius_mm):
+            raise ValueError("numerical_aperture, not f_number or a radius, with a magnification")
+        return self
+
+    def arguments(self, distance_mm: float) -> dict[str, Any]:
+        """Return the arguments of a device, focused at `distance_mm` by default."""
+        focus = self.focus_distance_mm or distance_mm
+        if self.magnification is not None:
+            lens = Lens.telecentric(self.magnification, self.numerical_aperture or 0.0, focus)
+        else:
+            assert self.focal_length_mm is not None  # by _one_lens
+            radius = self.aperture_radius_mm or 0.0
+            if self.f_number is not None:
+                radius = self.focal_length_mm / (2.0 * self.f_number)
+            lens = Lens(
+                self.focal_length_mm, radius, focus, natural_vignetting=self.natural_vignetting
+            )
+        pitch = self.pitch_um if isinstance(self.pitch_um, tuple) else (self.pitch_um,) * 2
+        return {
+            "width": self.resolution_px[0],
+            "height": self.resolution_px[1],
+            "pitch_mm": (pitch[0] * 1e-3, pitch[1] * 1e-3),
+            "lens": lens,
+            "principal_point": self.principal_point_px,
+            "distortion": self.distortion,
+            "body_mm": self.body_mm,
+            "tilt_rad": (float(np.deg2rad(self.tilt_deg[0])), float(np.deg2rad(self.tilt_deg[1]))),
+        }
+
+
+class DetectorTable(Parameters):
+    """A detector; what is not given is as Detector has it."""
+
+    bit_depth: int | None = None
+    full_well_e: Finite | None = None
+    read_noise_e: Finite | None = None
+    dark_current_e_per_s: Finite | None = None
+    quantum_efficiency: Finite | None = None
+    wavelength_nm: Finite | None = None
+    prnu: Finite | None = None
+    dsnu_e: Finite | None = None
+    offset_dn: Finite | None = None
+    gain_e_per_dn: Finite | None = None
+    seed: int | None = None
+
+    def detector(self) -> Detector:
+        """Return the detector."""
+        return Detector(**self.model_dump(exclude_none=True))
+
+
+class ProjectorOptics(Optics):
+    """The optical keys of a projector, and its light."""
+
+    flux_w: Positive = 1.0
+    bit_depth: Annotated[int, Field(ge=0, le=16)] = 8
+    gamma: Positive = 1.0
+
+    def arguments(self, distance_mm: float) -> dict[str, Any]:
+        """Return the arguments of Projector, focused at `distance_mm` by default."""
+        light = {"flux_w": self.flux_w, "bit_depth": self.bit_depth or None, "gamma": self.gamma}
+        return super().arguments(distance_mm) | light
+
+
+class PlaceTable(Parameters):
+    """An explicit pose: where a device stands and what it looks at."""
+
+    position_mm: Vector3
+    target_mm: Vector3 = (0.0, 0.0, 0.0)
+    down: Vector3 = (0.0, -1.0, 0.0)
+
+
+class RigTable(Parameters):
+    """``[rig]``: where the devices stand, by a design, by places, or from a file."""
+
+    z_ref_mm: Finite | None = None
+    w_mm: Finite | None = None
+    h_mm: Finite | None = None
+    l_mm: Finite | None = None
+    alpha_p_deg: Finite | None = None
+    beta_p_deg: Finite | None = None
+    camera: PlaceTable | None = None
+    projector: PlaceTable | None = None
+    file: str | None = None
+    volume_mm: tuple[Positive, Positive, Positive] = (60.0, 70.0, 30.0)
+
+    @model_validator(mode="after")
+    def _one_way(self) -> RigTable:
+        design = self.design_values()
+        places = (self.camera, self.projector)
+        ways = [
+            all(value is not None for value in design),
+            all(place is not None for place in places),
+            self.file is not None,
+        ]
+        used = [
+            any(value is not None for value in design),
+            any(place is not None for place in places),
+            self.file is not None,
+        ]
+        if sum(ways) != 1 or used != ways:
+            raise ValueError(
+                "either the six of z_ref_mm w_mm h_mm l_mm alpha_p_deg beta_p_deg, "
+                "or camera and projector, or file"
+            )
+        return self
+
+    def design_values(self) -> tuple[float | None, ...]:
+        """Return z_ref, w, h, l (mm), alpha_p and beta_p (degrees); None where not given."""
+        return (self.z_ref_mm, self.w_mm, self.h_mm, self.l_mm, self.alpha_p_deg, self.beta_p_deg)
+
+
+class ObjectTable(Parameters):
+    """``[[objects]]``: a shape and its place."""
+
+    artefact: str | None = None
+    mesh: str | None = None
+    unit: Literal["um", "mm", "cm", "inch", "m"] | None = None
+    centre: bool = False
+    kind: str | None = None
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    position_mm: Vector3 = (0.0, 0.0, 0.0)
+    rotation_deg: Vector3 = (0.0, 0.0, 0.0)
+    material: str | None = None
+    materials: dict[str, str] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> ObjectTable:
+        if sum(way is not None for way in (self.artefact, self.mesh, self.kind)) != 1:
+            raise ValueError("one of artefact (a name), mesh (a file with its unit) or kind")
+        if (self.mesh is None) != (self.unit is None) or (self.centre and self.mesh is None):
+            raise ValueError("a unit with a mesh file, and unit and centre with nothing else")
+        if self.parameters and self.kind is None:
+            raise ValueError("parameters with a kind only")
+        return self
+
+
+class MaterialTable(Parameters):
+    """``[materials.NAME]``: a material of the scene's own."""
+
+    bsdf: Literal["diffuse", "rough_plastic", "rough_conductor"] = "diffuse"
+    albedo: Annotated[float, Field(ge=0, le=1)] = 0.7
+    roughness: Annotated[float, Field(gt=0, le=1)] = 0.3
+    eta: Positive | None = None
+    k: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 2.93
+
+
+class LightTable(Parameters):
+    """``[light]``: ambient light and bounces."""
+
+    ambient_w_per_m2: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    bounces: Annotated[int, Field(ge=0, le=16)] = 0
+
+
+class ExposureTable(Parameters):
+    """``[exposure]``: time or level, and vibration."""
+
+    time_ms: Positive | None = None
+    white_level: Annotated[float, Field(gt=0, le=1)] = 0.8
+    vibration_px: Annotated[float, Field(ge=0, le=10)] = 0.0
+
+
+class FocusTable(Parameters):
+    """``[focus]``: settings of a focus stack, by distances or by a sweep."""
+
+    camera_mm: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    projector_mm: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    heights_mm: Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None
+    settings: Annotated[int, Field(ge=1, le=MAX_SETTINGS)] | None = None
+    move: Literal["both", "camera", "projector"] = "both"
+    apart: bool = False
+
+    @model_validator(mode="after")
+    def _one_way(self) -> FocusTable:
+        distances = self.camera_mm is not None or self.projector_mm is not None
+        ways = (distances, self.heights_mm is not None, self.settings is not None)
+        if sum(ways) != 1:
+            raise ValueError("camera_mm or projector_mm (or both), or heights_mm, or settings")
+        if distances and (self.apart or self.move != "both"):
+            raise ValueError("move and apart with heights_mm or settings only")
+        return self
+
+    def focus(self, rig: Rig) -> Focus:
+        """Return the settings; a sweep in `settings` goes through the volume's height."""
+        if self.settings is not None or self.heights_mm is not None:
+            heights = self.heights_mm
+            if heights is None:  # the middles of slices of the volume
+                count = self.settings or 1
+                slices = (np.arange(count) + 0.5) / count - 0.5
+                heights = tuple((rig.volume_mm[2] * slices).tolist())
+            return Focus.sweep(rig, heights, self.move, self.apart)
+        kept = rig.camera.lens.focus_distance_mm, rig.projector.lens.focus_distance_mm
+        count = len(self.camera_mm or self.projector_mm or ())
+        return Focus(self.camera_mm or (kept[0],) * count, self.projector_mm or (kept[1],) * count)
+
+
+class PatternsTable(Parameters):
+    """``[patterns]``: the sequence, as :meth:`PatternSequence.parse` reads it."""
+
+    sequence: str = "1,10,50"
+    shifts: int = 3
+    axes: str = "u"
+
+
+class RenderTable(Parameters):
+    """``[render]``."""
+
+    samples: Annotated[int, Field(ge=1, le=65536)] = 64
+
+
+class PreviewTable(Parameters):
+    """``[preview]``: what ``--preview`` makes of the camera."""
+
+    divisor: Annotated[int, Field(ge=1)] | None = None
+    samples: Annotated[int, Field(ge=1, le=65536)] = 16
+
+
+class SceneTables(Parameters):
+    """A whole scene file."""
+
+    # The name becomes a folder's.
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
+    description: str = ""
+    camera: Optics | None = None
+    projector: ProjectorOptics | None = None
+    detector: DetectorTable = DetectorTable()
+    rig: RigTable
+    objects: Annotated[tuple[ObjectTable, ...], Field(min_length=1)]
+    materials: dict[str, MaterialTable] = Field(default_factory=dict)
+    light: LightTable = LightTable()
+    exposure: ExposureTable = ExposureTable()
+    patterns: PatternsTable = PatternsTable()
+    focus: FocusTable | None = None
+    render: RenderTable = RenderTable()
+    preview: PreviewTable = PreviewTable()
+    # What the rig design needs of the hardware (slbench.design.rig.hardware); a scan does not.
+    design: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _devices(self) -> SceneTables:
+        if self.rig.file is None and (self.camera is None or self.projector is None):
+            raise ValueError("a [camera] and a [projector] table")
+        if self.rig.file is not None and (self.camera or self.projector):
+            raise ValueError("no [camera] or [projector] beside rig.file, which holds both")
+        return self

@@ -1,0 +1,1 @@
+"""Scores: points against truth, features against certified dimensions."""

@@ -1,0 +1,174 @@
+"""Scores: how far a point cloud is from the truth, and what it says of known features.
+
+Point errors are taken pixel by pixel: the point measured at a pixel against the point that
+the pixel's centre ray truly meets.  Features are fitted to the measured points alone
+(:mod:`slbench.score.features`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.cloud.triangulation import PointCloud
+from slbench.patterns import PhaseMap
+from slbench.rig import Rig
+from slbench.scene.model import SceneObject
+from slbench.scene.truth import GroundTruth
+from slbench.score.features import (
+    OUTLIER_SIGMAS,
+    FeatureScore,
+    PlaneScore,
+    SpacingScore,
+    SphereScore,
+    StepScore,
+    fit_features,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of a scan.
+
+    Errors in mm are over all measured pixels that truth says are lit, edges included; z is
+    the world's height.  ``completeness`` is the share of lit pixels that were measured,
+    ``false_points`` the number measured where truth says no light falls.
+    """
+
+    points: int
+    completeness: float
+    false_points: int
+    outliers: int
+    bias_z_mm: float
+    rms_z_mm: float
+    rms_mm: float
+    median_abs_mm: float
+    mad_mm: float
+    p95_abs_mm: float
+    predicted_sigma_mm: float
+    smooth_rms_mm: float
+    smooth_bias_px: dict[str, float]
+    smooth_rms_px: dict[str, float]
+    steps: list[StepScore] = field(default_factory=list)
+    planes: list[PlaneScore] = field(default_factory=list)
+    spheres: list[SphereScore] = field(default_factory=list)
+    spacings: list[SpacingScore] = field(default_factory=list)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return asdict(self)
+
+
+def point_errors(cloud: PointCloud, truth: GroundTruth) -> Array:
+    """Return measured minus true point, (N, 3), mm; NaN where truth has no lit point."""
+    rows, columns = cloud.pixels[:, 1], cloud.pixels[:, 0]
+    error = cloud.points - truth.point[rows, columns]
+    error[~truth.lit[rows, columns]] = np.nan
+    return error
+
+
+def score(
+    cloud: PointCloud,
+    truth: GroundTruth,
+    phase: PhaseMap,
+    objects: tuple[SceneObject, ...] = (),
+    rig: Rig | None = None,
+) -> Score:
+    """Score a point cloud against exact truth.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    truth : GroundTruth
+        Of the same camera.
+    phase : PhaseMap
+        What the cloud was triangulated from.
+    objects : tuple of SceneObject
+        Whose features are fitted, to points on smooth lit surface.
+    rig : Rig, optional
+        So that spheres are fitted where they face both devices.
+
+    Returns
+    -------
+    Score
+        Numbers are NaN where nothing was measured.
+    """
+    error = point_errors(cloud, truth)
+    lit = np.isfinite(error[:, 0])
+    distance = np.linalg.norm(error[lit], axis=-1)
+    z = error[lit, 2]
+    smooth = truth.smooth()
+    in_smooth = smooth[cloud.pixels[:, 1], cloud.pixels[:, 0]]
+    panel = {axis: phase.coordinate[axis] - truth.panel[..., k] for k, axis in _axes(phase)}
+    residual_px = {axis: values[smooth & phase.mask] for axis, values in panel.items()}
+    median = _median(z)
+    mad = _median(np.abs(z - median))
+    # 1.4826 MAD estimates the standard deviation of a Gaussian core.
+    limit = OUTLIER_SIGMAS * max(1.4826 * mad, 1e-12)
+    predicted = _median(cloud.sigma_total_mm)
+    smooth_error = distance[in_smooth[lit]]
+    features = _features(cloud, truth.object_id, in_smooth, objects, rig)
+    return Score(
+        points=len(cloud),
+        completeness=_ratio(np.count_nonzero(lit), np.count_nonzero(truth.lit)),
+        false_points=int(np.count_nonzero(~lit)),
+        outliers=int(np.count_nonzero(np.abs(z - median) > limit)),
+        bias_z_mm=_mean(z),
+        rms_z_mm=_rms(z),
+        rms_mm=_rms(distance),
+        median_abs_mm=_median(distance),
+        mad_mm=mad,
+        p95_abs_mm=float(np.percentile(distance, 95)) if distance.size else float("nan"),
+        predicted_sigma_mm=predicted,
+        smooth_rms_mm=_rms(smooth_error),
+        smooth_bias_px={axis: _mean(values) for axis, values in residual_px.items()},
+        smooth_rms_px={axis: _rms(values) for axis, values in residual_px.items()},
+        steps=[f for f in features if isinstance(f, StepScore)],
+        planes=[f for f in features if isinstance(f, PlaneScore)],
+        spheres=[f for f in features if isinstance(f, SphereScore)],
+        spacings=[f for f in features if isinstance(f, SpacingScore)],
+    )
+
+
+def _axes(phase: PhaseMap) -> list[tuple[int, Any]]:
+    return [("uv".index(axis), axis) for axis in phase.coordinate]
+
+
+def _features(
+    cloud: PointCloud,
+    object_id: NDArray[np.int32],
+    usable: NDArray[np.bool_],
+    objects: tuple[SceneObject, ...],
+    rig: Rig | None,
+) -> list[FeatureScore]:
+    """Fit the features of every object to the usable points that lie on it."""
+    found: list[FeatureScore] = []
+    owner = np.where(usable, object_id[cloud.pixels[:, 1], cloud.pixels[:, 0]], -1)
+    # What a projector's square pixels do to the phase is the same all along a panel line, so
+    # errors go together along the camera line that follows it.
+    line = cloud.pixels[:, 0 if "u" in cloud.axes else 1]
+    for k, item in enumerate(objects):
+        chosen = owner == k
+        found += fit_features(cloud.points[chosen], item.artefact, item.pose, line[chosen], rig)
+    return found
+
+
+def _mean(values: Array) -> float:
+    return float(np.mean(values)) if values.size else float("nan")
+
+
+def _median(values: Array) -> float:
+    return float(np.median(values)) if values.size else float("nan")
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
+
+
+def _ratio(part: Any, whole: Any) -> float:
+    return float(part) / float(whole) if whole else float("nan")

@@ -1,0 +1,1 @@
+"""Virtual captures: light transport, detector frames, whole scans."""

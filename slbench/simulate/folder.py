@@ -1,0 +1,78 @@
+"""What a scan leaves in its folder."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.cloud.triangulation import PointCloud
+from slbench.core.io import atomic_folder, write_json, write_ply, write_provenance
+from slbench.objects import Mesh
+from slbench.report.plots.scan import summary
+from slbench.scene.truth import GroundTruth
+from slbench.score.points import point_errors
+from slbench.simulate.fusionscore import all_in_focus
+from slbench.simulate.scan import Scan
+
+
+def write_scan(result: Scan, folder: str | Path) -> list[Path]:
+    """Write a scan's files; nothing appears in `folder` until all are complete.
+
+    Returns
+    -------
+    list of Path
+        Frames and manifest (``capture.toml``, ``frames/``, ``rig.yaml``), ``truth.exr``,
+        ``transport.npz``, ``cloud.ply`` (where there are points), ``score.json``,
+        ``summary.png``, ``provenance.json``; with focus settings also ``stack/``
+        and ``all-in-focus/``, the expected frames through pinholes.
+    """
+    with atomic_folder(folder) as temporary:
+        result.capture.save(temporary)
+        if result.stack is not None:
+            result.stack.save(temporary / "stack")
+            sharp = all_in_focus(result.stack, result.scene, result.transport)
+            sharp.save(temporary / "all-in-focus")
+        result.truth.save(temporary / "truth.exr")
+        result.transport.save(temporary / "transport.npz")
+        if len(result.cloud):
+            write_cloud(temporary / "cloud.ply", result.cloud, result.truth)
+        write_json(temporary / "score.json", result.to_dict())
+        summary(result, temporary / "summary.png")
+        write_provenance(temporary, scan_parameters(result), result.seed)
+        names = [entry.name for entry in sorted(temporary.iterdir())]
+    return [Path(folder) / name for name in names]
+
+
+def scan_parameters(result: Scan) -> dict[str, Any]:
+    """Return what a scan depends on beside its seed, for its provenance."""
+    return {
+        "scene": result.scene.specification,
+        "patterns": result.scene.sequence.to_dict(),
+        "samples": result.transport.samples,
+        "noise": result.noise,
+        "variant": result.variant,
+        "objects": [
+            {"name": item.artefact.name, "sha256": _digest(item.artefact.mesh)}
+            for item in result.scene.objects
+        ],
+    }
+
+
+def _digest(mesh: Mesh) -> str:
+    """Return a hash of a mesh, which tells whether two scans saw the same object."""
+    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()
+
+
+def write_cloud(path: str | Path, cloud: PointCloud, truth: GroundTruth | None = None) -> None:
+    """Write a cloud as binary PLY with ``sigma`` and, given truth, ``error`` (both mm).
+
+    ``error`` is the signed height error, NaN where truth has no lit point.
+    """
+    fields: dict[str, NDArray[np.float64]] = {"sigma": cloud.sigma_total_mm}
+    if truth is not None:
+        fields["error"] = point_errors(cloud, truth)[:, 2]
+    write_ply(path, cloud.points, fields)

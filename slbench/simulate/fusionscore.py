@@ -1,0 +1,195 @@
+"""How good is a fused stack?  Against the same scene through pinholes, which has no blur.
+
+Intensities are compared over all patterns, phases over the finest fringe set; both for the
+fused frames and for the single middle setting, inside and outside that setting's depth of
+field.  A pixel is inside where the circles of confusion of both devices together, in periods of
+the finest fringes, are below ``BLUR``: there the fringes keep 81 % of their modulation or more,
+as 2 J1(x) / x with x = pi BLUR is 0.81 for a blur disc of that diameter.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.capture.capture import Capture, capture, exposure, radiance_batches
+from slbench.capture.fusion import maximum_weights, pyramid_selection, selective_weights
+from slbench.capture.stack import FocusStack, FusedCapture, modulation_weights
+from slbench.core.errors import InputError
+from slbench.detector.emva1288 import expected_dn
+from slbench.patterns import Fringes, relative_phase
+from slbench.scene.model import Scene
+from slbench.scene.truth import GroundTruth
+from slbench.simulate.transport import LightTransport
+
+Array = NDArray[np.float64]
+
+#: Circle of confusion that ends the depth of field, periods of the finest fringes.
+BLUR = 0.4
+
+
+@dataclass(frozen=True)
+class Sharpness:
+    """Errors over some pixels: intensity as a share of full scale, phase in radians; RMS."""
+
+    pixels: int
+    intensity_rms: float
+    phase_rms: float
+
+
+@dataclass(frozen=True)
+class FusionScore:
+    """A fused stack and its middle setting against the all-in-focus truth.
+
+    ``inside`` and ``outside`` the middle setting's depth of field; NaN where there are no
+    pixels.  ``finest`` is the number of fringes whose phase is compared.
+    """
+
+    finest: int
+    fused_inside: Sharpness
+    fused_outside: Sharpness
+    middle_inside: Sharpness
+    middle_outside: Sharpness
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the score as plain values for JSON."""
+        parts = ("fused_inside", "fused_outside", "middle_inside", "middle_outside")
+        return {"finest": self.finest} | {name: vars(getattr(self, name)) for name in parts}
+
+
+def score_fusion(
+    stack: FocusStack,
+    fused: FusedCapture,
+    scene: Scene,
+    transport: LightTransport,
+    truth: GroundTruth,
+) -> FusionScore:
+    """Score fused frames against the scene through pinholes.
+
+    Parameters
+    ----------
+    stack : FocusStack
+    fused : FusedCapture
+        Of that stack.
+    scene : Scene
+        With the patterns of the stack and its focus settings.
+    transport : LightTransport
+        Of ``scene.all_in_focus()``.
+    truth : GroundTruth
+
+    Returns
+    -------
+    FusionScore
+        Over smooth lit surface.
+
+    Raises
+    ------
+    InputError
+        If the patterns have no fringes.
+    """
+    sequence = scene.sequence
+    sets = [(p.count, i) for i, p in enumerate(sequence.parts) if isinstance(p, Fringes)]
+    if not sets:
+        raise InputError("fusion score", "fringes among the patterns", sequence.name)
+    finest, part = max(sets)
+    own = [k for k, frame in enumerate(sequence.frames()) if frame.part_index == part]
+    fringes = sequence.parts[part]
+    assert isinstance(fringes, Fringes)
+    smooth = truth.smooth()
+    blur = _blur(truth, fringes, sequence.size(fringes.axis))
+    places = {"inside": smooth & (blur <= BLUR), "outside": smooth & (blur > BLUR)}
+
+    middle = len(stack) // 2
+    squares = {name: np.zeros(smooth.shape) for name in ("fused", "middle")}
+    phases: dict[str, list[Array]] = {"true": [], "fused": [], "middle": []}
+    top = 2.0 ** stack.captures[0].bit_depth - 1.0
+    scale = 2.0 ** (fused.capture.bit_depth - stack.captures[0].bit_depth)
+    factor, exposure_s = stack_exposure(stack, scene, transport)
+    for indices, radiance in radiance_batches(scene, transport):
+        for k, image in zip(indices.tolist(), radiance, strict=True):
+            true = expected_dn(scene.detector, np.maximum(image, 0.0) * factor, exposure_s)
+            shown = {
+                "fused": fused.capture.frames[k] / scale,
+                "middle": stack.frame(middle, k).astype(np.float64),
+            }
+            for name, frame in shown.items():
+                squares[name] += ((frame - true) / top) ** 2 / len(sequence.frames())
+            if k in own:
+                for name, frame in (shown | {"true": true}).items():
+                    phases[name].append(frame)
+    exact = relative_phase(np.stack(phases["true"]))[0]
+    results = {}
+    for name, square in squares.items():
+        off = relative_phase(np.stack(phases[name]))[0] - exact
+        off = np.mod(off + np.pi, 2.0 * np.pi) - np.pi
+        for place, mask in places.items():
+            results[f"{name}_{place}"] = _sharpness(square[mask], off[mask])
+    return FusionScore(finest, **results)
+
+
+def compare_fusions(
+    stack: FocusStack, scene: Scene, transport: LightTransport, truth: GroundTruth
+) -> dict[str, FusionScore]:
+    """Score every way to fuse a stack: selective, maximum, pyramid, and by modulation.
+
+    Parameters are those of :func:`score_fusion`; the first three are weighted by the lit frames.
+    """
+    lit = stack.lit()
+    ways = {
+        "saf": selective_weights(lit),
+        "maximum": maximum_weights(lit),
+        "pyramid": pyramid_selection(lit),
+        "modulation": modulation_weights(stack),
+    }
+    return {
+        name: score_fusion(stack, stack.fuse_with(weights), scene, transport, truth)
+        for name, weights in ways.items()
+    }
+
+
+def _sharpness(square: Array, off: Array) -> Sharpness:
+    if square.size == 0:
+        return Sharpness(0, float("nan"), float("nan"))
+    return Sharpness(
+        int(square.size), float(np.sqrt(square.mean())), float(np.sqrt(np.mean(off**2)))
+    )
+
+
+def _blur(truth: GroundTruth, fringes: Fringes, size: int) -> Array:
+    """Circles of confusion of both devices together, in periods of the fringes, (V, U)."""
+    coordinate = truth.panel[..., "uv".index(fringes.axis)]
+    with np.errstate(invalid="ignore"):
+        slope = np.hypot(*np.gradient(coordinate))  # panel pixels a camera pixel
+        return np.hypot(truth.projector_coc, slope * truth.camera_coc) * fringes.count / size
+
+
+def stack_exposure(
+    stack: FocusStack, scene: Scene, transport: LightTransport
+) -> tuple[float, float]:
+    """Return the photons per unit radiance and the exposure time that a stack was captured with.
+
+    The time is the stack's own.  `scene` has its focus settings and `transport` is that of the
+    scene through pinholes, which show the same radiance where an aperture's picture is sharp.
+    """
+    middle = scene.focused(len(stack) // 2)
+    time = stack.captures[0].exposure_s
+    factor, automatic = exposure(middle, transport)
+    return (factor, automatic) if time is None else (factor * time / automatic, time)
+
+
+def all_in_focus(stack: FocusStack, scene: Scene, transport: LightTransport) -> Capture:
+    """Return the expected frames of the scene through pinholes, exposed as the stack was.
+
+    Parameters
+    ----------
+    stack : FocusStack
+    scene : Scene
+        With the patterns of the stack and its focus settings.
+    transport : LightTransport
+        Of ``scene.all_in_focus()``.
+    """
+    light = stack_exposure(stack, scene, transport)
+    return capture(scene.all_in_focus(), transport, noise=False, light=light)

@@ -1,0 +1,1 @@
+"""Mitsuba plugins: the thin-lens projector and the camera."""

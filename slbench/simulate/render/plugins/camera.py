@@ -1,0 +1,88 @@
+"""``slbench_camera``: a Mitsuba sensor with aperture, distortion, sensor tilt, telecentricity.
+
+Mitsuba's ``perspective`` and ``thinlens`` know neither distortion nor tilt.  Parameters are
+those of ``thinlens_projector`` (render/projector.py) without the picture: ``fov`` or
+``focal_length`` and ``pixel_pitch``, ``aperture_radius``, ``focus_distance``,
+``principal_point_u/v``, ``k1 k2 p1 p2 k3``, ``tilt_x tilt_y``, ``telecentric``; ``to_world`` in
+Mitsuba's convention (x left, y up, z forward); film and sampler as for any sensor.
+
+As Mitsuba's own sensors it measures scene radiance: the lens's fall-off towards the corners
+belongs to the detector's side (:meth:`slbench.rig.Device.relative_illumination`).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from slbench.simulate.render.mitsuba import dr, mi
+from slbench.simulate.render.plugins.optics import (
+    PanelOptics,
+    device_from_properties,
+    device_to_world,
+)
+
+
+class SlbenchCamera(mi.Sensor):
+    """See the module's text."""
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        size = self.film().size()
+        self.optics = PanelOptics(device_from_properties(props, [size.x, size.y]))
+        crop_size, crop_offset = self.film().crop_size(), self.film().crop_offset()
+        self.crop_size = mi.Vector2f(crop_size.x, crop_size.y)
+        self.crop_offset = mi.Vector2f(crop_offset.x, crop_offset.y)
+        self.to_world = device_to_world(props)
+        self.m_needs_sample_3 = self.optics.needs_lens_sample
+
+    def _ray(self, position_sample: mi.Point2f, aperture_sample: mi.Point2f) -> tuple[Any, Any]:
+        # Mitsuba's film has pixel corners at integers, we have centres there.
+        pixel = mi.Point2f(position_sample * self.crop_size + self.crop_offset - 0.5)
+        origin, direction = self.optics.sample_ray(pixel, aperture_sample)
+        return self.to_world @ origin, self.to_world @ direction
+
+    def sample_ray(
+        self,
+        time: mi.Float,
+        wavelength_sample: mi.Float,
+        position_sample: mi.Point2f,
+        aperture_sample: mi.Point2f,
+        active: Any = True,
+    ) -> tuple[mi.Ray3f, mi.Spectrum]:
+        """Sample a ray through a film position and an aperture position."""
+        wavelengths, weight = self.sample_wavelengths(
+            dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active
+        )
+        origin, direction = self._ray(position_sample, aperture_sample)
+        return mi.Ray3f(origin, direction, time, wavelengths), weight
+
+    def sample_ray_differential(
+        self,
+        time: mi.Float,
+        wavelength_sample: mi.Float,
+        position_sample: mi.Point2f,
+        aperture_sample: mi.Point2f,
+        active: Any = True,
+    ) -> tuple[mi.RayDifferential3f, mi.Spectrum]:
+        """Sample a ray and the rays one pixel right of and below it."""
+        ray, weight = self.sample_ray(
+            time, wavelength_sample, position_sample, aperture_sample, active
+        )
+        result = mi.RayDifferential3f(ray)
+        step = dr.rcp(self.crop_size)
+        result.o_x, result.d_x = self._ray(
+            position_sample + mi.Vector2f(step.x, 0), aperture_sample
+        )
+        result.o_y, result.d_y = self._ray(
+            position_sample + mi.Vector2f(0, step.y), aperture_sample
+        )
+        result.has_differentials = True
+        return result, weight
+
+    def bbox(self) -> mi.ScalarBoundingBox3f:
+        """Return an invalid box: the sensor occupies no region of space."""
+        return mi.ScalarBoundingBox3f()
+
+    def to_string(self) -> str:
+        """Describe the camera."""
+        return f"SlbenchCamera[{self.optics.device}]"

@@ -1,0 +1,300 @@
+"""The lens model of :class:`slbench.rig.Device` in Dr.Jit: one model for every use.
+
+The projector emitter, the camera plugin and the light transport tracer all sample the two
+functions here, so they cannot disagree:
+
+* :meth:`PanelOptics.sample_ray`: pixel and lens sample -> ray (a camera looks);
+* :meth:`PanelOptics.sample_panel`: surface point and lens sample -> pixel (a projector
+  shines): follow the ray from the point through the lens sample to the plane in focus, from
+  there through the lens centre to the panel.
+
+Coordinates are the device frame's (x right, y down, z forward), pixels OpenCV's.  All numbers
+are opaque to the compiler, so that another rig reuses the compiled kernel; only *which* terms
+exist (distortion, tilt, aperture) is fixed when a kernel is traced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from slbench.rig import Device, Lens
+from slbench.simulate.render.mitsuba import dr, mi
+
+#: Newton steps of the undistortion: quadratic convergence reaches single precision in fewer
+#: than six for every lens that can be inverted at all.
+_NEWTON_STEPS = 6
+
+
+def opaque(value: float) -> Any:
+    """Return a Dr.Jit float that is not compiled into kernels as a constant."""
+    return dr.opaque(mi.Float, float(value))
+
+
+@dataclass
+class PanelOptics:
+    """Lens and panel of one device; see the module's text.
+
+    Attributes are opaque Dr.Jit floats, or None for terms that do not exist.
+    """
+
+    device: Device
+
+    def __post_init__(self) -> None:
+        device, lens = self.device, self.device.lens
+        c = lens.focal_length_mm
+        self.telecentric = lens.kind == "telecentric"
+        self.focal = mi.Vector2f(*(opaque(c / p) for p in device.pitch_mm))
+        self.centre = mi.Point2f(*(opaque(x) for x in device.centre))
+        self.size = mi.Vector2f(opaque(device.width), opaque(device.height))
+        self.focus = mi.Vector3f(*(opaque(n) for n in device.focus_plane))
+        self.focus_distance = opaque(lens.focus_distance_mm)
+        self.aperture = opaque(lens.aperture_radius_mm) if lens.aperture_radius_mm > 0 else None
+        self.distortion = [opaque(k) for k in device.distortion] if any(device.distortion) else None
+        self.tilt = self.untilt = None
+        if any(device.tilt_rad):
+            homography = device.tilt_homography
+            self.tilt = [opaque(float(h)) for h in homography.ravel()]
+            self.untilt = [opaque(float(h)) for h in np.linalg.inv(homography).ravel()]
+
+    @property
+    def needs_lens_sample(self) -> bool:
+        """Whether the aperture is larger than a point."""
+        return self.aperture is not None
+
+    # -- panel <-> normalised coordinates ----------------------------------------------
+
+    def _to_pixel(self, xy: mi.Point2f) -> mi.Point2f:
+        if self.distortion is not None:
+            xy = _distort(xy, self.distortion)[0]
+        if self.tilt is not None:
+            xy = _homography(xy, self.tilt)
+        return mi.Point2f(self.focal * xy + self.centre)
+
+    def _from_pixel(self, pixel: mi.Point2f) -> mi.Point2f:
+        xy = mi.Point2f((pixel - self.centre) / self.focal)
+        if self.untilt is not None:
+            xy = _homography(xy, self.untilt)
+        if self.distortion is not None:
+            target = mi.Point2f(xy)
+            for _ in range(_NEWTON_STEPS):
+                value, (a, b, d) = _distort(xy, self.distortion)
+                error = value - target
+                scale = dr.rcp(dr.maximum(a * d - b * b, 1e-3))
+                xy = mi.Point2f(
+                    xy.x - (d * error.x - b * error.y) * scale,
+                    xy.y - (a * error.y - b * error.x) * scale,
+                )
+        return xy
+
+    def area(self, pixel: mi.Point2f) -> mi.Float:
+        """Return one pixel's area in the plane at unit distance (undistorted coordinates)."""
+        scale = self.focal.x * self.focal.y
+        xy = self._from_pixel(pixel)
+        if self.distortion is not None:
+            xy, (a, b, d) = _distort(xy, self.distortion)
+            scale *= a * d - b * b
+        if self.tilt is not None:
+            h = self.tilt
+            determinant = (
+                h[0] * (h[4] * h[8] - h[5] * h[7])
+                - h[1] * (h[3] * h[8] - h[5] * h[6])
+                + h[2] * (h[3] * h[7] - h[4] * h[6])
+            )
+            scale *= determinant / (h[6] * xy.x + h[7] * xy.y + h[8]) ** 3
+        return dr.rcp(scale)
+
+    def inside(self, pixel: mi.Point2f) -> mi.Bool:
+        """Tell whether a pixel position lies on the panel."""
+        return (
+            (pixel.x >= -0.5)
+            & (pixel.y >= -0.5)
+            & (pixel.x < self.size.x - 0.5)
+            & (pixel.y < self.size.y - 0.5)
+        )
+
+    def _disk(self, sample: mi.Point2f) -> mi.Point2f:
+        if self.aperture is None:
+            return mi.Point2f(0.0)
+        return mi.warp.square_to_uniform_disk_concentric(sample) * self.aperture
+
+    # -- the two directions --------------------------------------------------------------
+
+    def sample_ray(
+        self, pixel: mi.Point2f, lens_sample: mi.Point2f
+    ) -> tuple[mi.Point3f, mi.Vector3f]:
+        """Return origin and unit direction of the ray that a pixel position looks along.
+
+        Parameters
+        ----------
+        pixel : position on the panel (u, v)
+        lens_sample : uniform in [0, 1)^2
+        """
+        xy = self._from_pixel(pixel)
+        disk = self._disk(lens_sample)
+        n = self.focus
+        if self.telecentric:
+            chief = mi.Point2f(xy * self.focus_distance)
+            depth = (1.0 - n.x * chief.x - n.y * chief.y) / n.z
+            cone = mi.Vector2f(disk / self.focus_distance)
+            origin = mi.Point3f(chief.x + cone.x * depth, chief.y + cone.y * depth, 0.0)
+            return origin, dr.normalize(mi.Vector3f(-cone.x, -cone.y, 1.0))
+        origin = mi.Point3f(disk.x, disk.y, 0.0)
+        direction = mi.Vector3f(xy.x, xy.y, 1.0)
+        if self.aperture is not None:
+            # Through the point in focus, d / (n . d), written so that focus at infinity works.
+            direction -= mi.Vector3f(origin) * dr.dot(n, direction)
+        return origin, dr.normalize(direction)
+
+    def sample_panel(
+        self, point: mi.Point3f, lens_sample: mi.Point2f
+    ) -> tuple[mi.Point2f, mi.Point3f, mi.Float, mi.Bool]:
+        """Return the panel position that lights a point through a sample of the lens.
+
+        Parameters
+        ----------
+        point : surface point in the device frame
+        lens_sample : uniform in [0, 1)^2
+
+        Returns
+        -------
+        pixel : position on the panel
+        origin : point on the lens (device frame) the light comes from
+        falloff : irradiance on a surface that faces the light, for unit axial intensity
+        valid : whether the point is in front of the lens and the position on the panel
+        """
+        disk = self._disk(lens_sample)
+        n = self.focus
+        if self.telecentric:
+            cone = mi.Vector3f(disk.x / self.focus_distance, disk.y / self.focus_distance, 1.0)
+            step = (1.0 - dr.dot(n, point)) / dr.dot(n, cone)
+            xy = mi.Point2f(
+                (point.x + step * cone.x) / self.focus_distance,
+                (point.y + step * cone.y) / self.focus_distance,
+            )
+            origin = mi.Point3f(point - point.z * cone)
+            valid = point.z > 0
+            # Parallel light: as strong everywhere as it is in focus on the axis.
+            falloff = dr.norm(cone) / dr.square(self.focus_distance)
+        else:
+            origin = mi.Point3f(disk.x, disk.y, 0.0)
+            toward = mi.Vector3f(point - origin)
+            if self.aperture is None:
+                focused = toward
+            else:
+                # The point in focus, scaled by n . toward: see sample_ray.
+                gap = 1.0 - n.x * origin.x - n.y * origin.y
+                focused = mi.Vector3f(origin) * dr.dot(n, toward) + toward * gap
+            xy = mi.Point2f(focused.x / focused.z, focused.y / focused.z)
+            valid = (point.z > 0) & (focused.z > 0)
+            distance2 = dr.squared_norm(toward)
+            cosine = toward.z * dr.rsqrt(distance2)
+            if self.device.lens.natural_vignetting:
+                falloff = cosine / distance2
+            else:
+                # Uniform irradiance on planes that face the projector, as Mitsuba's own.
+                falloff = dr.rcp(dr.square(toward.z) * cosine)
+        pixel = self._to_pixel(xy)
+        return pixel, origin, falloff, valid & self.inside(pixel)
+
+
+def _homography(xy: mi.Point2f, h: Sequence[Any]) -> mi.Point2f:
+    w = dr.rcp(h[6] * xy.x + h[7] * xy.y + h[8])
+    return mi.Point2f(
+        (h[0] * xy.x + h[1] * xy.y + h[2]) * w, (h[3] * xy.x + h[4] * xy.y + h[5]) * w
+    )
+
+
+def _distort(xy: mi.Point2f, coefficients: Sequence[Any]) -> tuple[mi.Point2f, tuple]:
+    """Distort and return the symmetric Jacobian (a, b, d) too; see rig/distortion.py."""
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = xy.x, xy.y
+    r2 = x * x + y * y
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    d_radial = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)
+    out = mi.Point2f(
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    )
+    a = radial + 2.0 * x * x * d_radial + 2.0 * p1 * y + 6.0 * p2 * x
+    b = 2.0 * x * y * d_radial + 2.0 * p1 * x + 2.0 * p2 * y
+    d = radial + 2.0 * y * y * d_radial + 6.0 * p1 * y + 2.0 * p2 * x
+    return out, (a, b, d)
+
+
+def device_to_world(props: mi.Properties) -> mi.AffineTransform4f:
+    """Return a plugin's transform from *our* device axes to the world.
+
+    Mitsuba's ``to_world`` has x left and y up; ours x right and y down: a turn by pi about z.
+    """
+    matrix = np.eye(4)
+    if "to_world" in props:
+        matrix = np.array(props["to_world"].matrix, dtype=np.float64)
+    return opaque_transform(matrix @ np.diag([-1.0, -1.0, 1.0, 1.0]))
+
+
+def opaque_transform(matrix: np.ndarray) -> mi.AffineTransform4f:
+    """Return a (4, 4) matrix as a transform that is not compiled into kernels."""
+    transform = mi.AffineTransform4f(mi.Matrix4f(matrix.tolist()))
+    dr.make_opaque(transform)
+    return transform
+
+
+def device_from_properties(props: mi.Properties, size: Sequence[int]) -> Device:
+    """Read a plugin's optical parameters (see render/projector.py) into a device at rest.
+
+    Lengths are in scene units; the pitch matters for the tilted plane in focus alone.
+    """
+    width, height = (int(n) for n in size)
+    pitch = float(props.get("pixel_pitch", 0.01))
+    if "focal_length" in props:
+        focal = float(props["focal_length"])
+    else:
+        fov = np.deg2rad(float(props.get("fov", 45.0)))
+        focal = width * pitch / (2.0 * np.tan(fov / 2.0))
+    number = {name: float(props.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")}
+    focus = float(props.get("focus_distance", np.inf))
+    kind = "telecentric" if props.get("telecentric", False) else "perspective"
+    lens = Lens(
+        focal,
+        float(props.get("aperture_radius", 0.0)),
+        focus,
+        kind,  # type: ignore[arg-type]  # one of the two by construction
+        bool(props.get("natural_vignetting", True)),
+    )
+    return Device(
+        width=width,
+        height=height,
+        pitch_mm=(pitch, float(props.get("pixel_pitch_y", pitch))),
+        lens=lens,
+        principal_point=(
+            float(props.get("principal_point_u", (width - 1) / 2.0)),
+            float(props.get("principal_point_v", (height - 1) / 2.0)),
+        ),
+        distortion=(number["k1"], number["k2"], number["p1"], number["p2"], number["k3"]),
+        tilt_rad=(float(props.get("tilt_x", 0.0)), float(props.get("tilt_y", 0.0))),
+    )
+
+
+def properties_from_device(device: Device) -> dict[str, Any]:
+    """Return the plugin parameters that :func:`device_from_properties` reads back."""
+    lens = device.lens
+    result: dict[str, Any] = {
+        "focal_length": lens.focal_length_mm,
+        "pixel_pitch": device.pitch_mm[0],
+        "pixel_pitch_y": device.pitch_mm[1],
+        "principal_point_u": device.centre[0],
+        "principal_point_v": device.centre[1],
+        "aperture_radius": lens.aperture_radius_mm,
+        "natural_vignetting": lens.natural_vignetting,
+        "telecentric": lens.kind == "telecentric",
+        "tilt_x": device.tilt_rad[0],
+        "tilt_y": device.tilt_rad[1],
+    }
+    if np.isfinite(lens.focus_distance_mm):
+        result["focus_distance"] = lens.focus_distance_mm
+    result |= dict(zip(("k1", "k2", "p1", "p2", "k3"), device.distortion, strict=True))
+    return result

@@ -1,0 +1,152 @@
+"""Simulated repeats: a scene or a plate in its place, captured again and again at some pixels.
+
+Light is traced once (:func:`traced`) for all repeats and patterns; what differs between repeats
+is the detector's noise and vibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench import objects
+from slbench.capture.capture import capture, exposure, radiance_batches
+from slbench.capture.stack import WeightSource
+from slbench.detector.emva1288 import expose
+from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
+from slbench.rig import Pose
+from slbench.scene.model import Scene, SceneObject
+from slbench.simulate.scan import capture_stack
+from slbench.simulate.transport import LightTransport
+
+Array = NDArray[np.float64]
+
+
+def tagged_seed(seed: int, *tags: int) -> int:
+    """Return a seed of its own for each run of tags, so that no two random streams are shared."""
+    return int(np.random.SeedSequence(seed, spawn_key=tags).generate_state(1)[0])
+
+
+def plate_scene(scene: Scene, height_mm: float) -> Scene:
+    """Return the scene with a level plate of the volume's size instead of its objects.
+
+    The plate has the material of the scene's first object.
+    """
+    size = scene.rig.volume_mm
+    plate = objects.build(
+        "plane", {"size_mm": [size[0], size[1]], "thickness_mm": 0.1 * min(size[:2])}
+    )
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, height_mm]))
+    return replace(scene, objects=(SceneObject(plate, pose, scene.objects[0].material),))
+
+
+def traced(scene: Scene, seed: int) -> LightTransport | list[LightTransport]:
+    """Trace the scene, or each of its focus settings, with the marginal "u"."""
+    from slbench.simulate.render.trace import trace
+
+    if scene.focus is None:
+        return trace(scene, ("u",), seed=seed)
+    return [trace(scene.focused(k), ("u",), seed=seed) for k in range(len(scene.focus))]
+
+
+def repeated_phases(
+    scene: Scene,
+    transports: LightTransport | Sequence[LightTransport],
+    fringes: Sequence[int],
+    pixels: NDArray[np.intp],
+    *,
+    repeats: int = 20,
+    shifts: int = 3,
+    seed: int = 0,
+    weights: WeightSource = "lit",
+    on_progress: Callable[[float], None] | None = None,
+) -> tuple[Array, Array]:
+    """Capture fringe sets repeatedly and return their relative phases at some pixels.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its detector and exposure; the patterns are those given here.
+    transports : LightTransport or sequence of LightTransport
+        With the marginal "u"; with focus settings one of each, and every repeat is fused.
+    fringes : sequence of int
+        Counts of the k sets, along u.
+    pixels : (P,) int
+        Flat indices into the image.
+    repeats, shifts, seed : int
+    weights : {"lit", "modulation"}
+        Of the fusion (:mod:`slbench.capture.stack`).
+
+    Returns
+    -------
+    phases : (repeats, k, P) float
+        Relative phase, rad; NaN where a frame is saturated.
+    modulation : (k, P) float
+        Mean modulation, DN.
+    """
+    parts = tuple(Fringes(n, shifts) for n in fringes)
+    panel = (scene.rig.projector.width, scene.rig.projector.height)
+    patterned = replace(scene, sequence=PatternSequence(panel, parts))
+    if isinstance(transports, LightTransport):
+        captures = _frames(patterned, transports, pixels, repeats, seed)
+    else:
+        captures = _fused_frames(patterned, transports, pixels, repeats, seed, weights)
+    phases = np.empty((repeats, len(parts), len(pixels)))
+    modulation = np.zeros(phases.shape[1:])
+    for r, values in enumerate(captures):
+        saturated = values >= scene.detector.saturation_dn
+        for k in range(len(parts)):
+            own = slice(k * shifts, (k + 1) * shifts)
+            phase, strength, _ = relative_phase(values[own, np.newaxis])
+            phases[r, k] = np.where(saturated[own].any(axis=0), np.nan, phase[0])
+            modulation[k] += strength[0] / repeats
+        if on_progress:
+            on_progress((r + 1) / repeats)
+    return phases, modulation
+
+
+def _frames(
+    scene: Scene, transport: LightTransport, pixels: NDArray[np.intp], repeats: int, seed: int
+) -> Iterator[NDArray[Any]]:
+    """Yield the frames of each repeat at the pixels, (N, P)."""
+    if scene.exposure.vibration_px > 0.0:  # moves whole images
+        for r in range(repeats):
+            yield capture(scene, transport, seed=tagged_seed(seed, r)).frames.reshape(
+                -1, transport.ambient.size
+            )[:, pixels]
+        return
+    factor, exposure_s = exposure(scene, transport)
+    few = np.empty((scene.sequence.n_frames, 1, len(pixels)), np.float32)
+    for indices, radiance in radiance_batches(scene, transport):
+        few[indices, 0] = radiance.reshape(len(radiance), -1)[:, pixels]
+    for r in range(repeats):
+        rng = np.random.default_rng([tagged_seed(seed, r), 1])
+        yield expose(scene.detector, few, exposure_s, rng, scale=factor)[:, 0]
+
+
+def _fused_frames(
+    scene: Scene,
+    transports: Sequence[LightTransport],
+    pixels: NDArray[np.intp],
+    repeats: int,
+    seed: int,
+    weights: WeightSource,
+) -> Iterator[NDArray[Any]]:
+    """Yield the fused frames of each repeat at the pixels in the detector's DN, (N, P).
+
+    Every fringe set is a stack of its own, as if it were the finest of its sequence.
+    """
+    panel = scene.sequence.panel
+    for r in range(repeats):
+        values = []
+        for part in scene.sequence.parts:
+            alone = replace(scene, sequence=PatternSequence(panel, (Flat(1.0), part)))
+            stack = capture_stack(alone, transports=transports, seed=tagged_seed(seed, r))
+            shots = stack.fuse(weights).capture
+            scale = 2.0 ** (scene.detector.bit_depth - shots.bit_depth)
+            values.append(scale * shots.frames[1:].reshape(len(shots.frames) - 1, -1)[:, pixels])
+        yield np.concatenate(values)

@@ -1,0 +1,364 @@
+"""Light transport: what a camera pixel sees of the projector's panel, as a sparse matrix.
+
+Light is linear: for a fixed scene the radiance image is ``I = T p + A`` with the panel ``p``
+(values in [0, 1]), the light transport matrix ``T`` (camera pixels x panel pixels) and the
+ambient image ``A``.  Fringes vary along one panel axis only, so ``T`` is kept summed over the
+other one (a *marginal*): ``"u"`` has one column per panel column, ``"v"`` one per panel row,
+``"uv"`` one per panel pixel (row-major).
+
+Tracing happens in :mod:`slbench.simulate.render`; this module stores, multiplies and saves, and
+works on a machine without Mitsuba.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import scipy.sparse
+from numba import get_num_threads, njit, prange
+from numpy.typing import ArrayLike, NDArray
+
+from slbench.core.errors import InputError
+from slbench.core.io import read_npz, write_npz
+
+Marginal = Literal["u", "v", "uv"]
+
+#: Pixels handled together in the product: their panel entries and sums stay in the cache.
+_TILE = 64
+#: Version of the file layout.
+_FORMAT = 1
+
+
+@njit(parallel=True, cache=True, nogil=True)
+def _product(indptr, indices, data, panels, ambient, out):  # type: ignore[no-untyped-def]
+    """out[k, p] = ambient[p] + sum_j T[p, j] panels[j, k], tile by tile."""
+    pixels, n = out.shape[1], out.shape[0]
+    for tile in prange((pixels + _TILE - 1) // _TILE):
+        first = tile * _TILE
+        last = min(first + _TILE, pixels)
+        sums = np.zeros((_TILE, n), np.float32)
+        for p in range(first, last):
+            for j in range(indptr[p], indptr[p + 1]):
+                weight, column = data[j], indices[j]
+                for k in range(n):
+                    sums[p - first, k] += weight * panels[column, k]
+        for k in range(n):
+            for p in range(first, last):
+                out[k, p] = ambient[p] + sums[p - first, k]
+
+
+@njit(parallel=True, cache=True, nogil=True)
+def _merge(columns, weights, width, counts, workers):  # type: ignore[no-untyped-def]
+    """Merge equal columns of each pixel's samples in place, sorted; counts[p] survive.
+
+    Each thread keeps one dense row of the panel; a pixel touches few of its entries, which
+    are cleared again on the way out, so the cost is that of the samples alone.
+    """
+    pixels, samples = columns.shape
+    for worker in prange(workers):
+        row = np.zeros(width, np.float32)
+        touched = np.empty(samples, columns.dtype)
+        for p in range(worker * pixels // workers, (worker + 1) * pixels // workers):
+            n = 0
+            for s in range(samples):
+                weight = weights[p, s]
+                if weight > 0.0:
+                    column = columns[p, s]
+                    if row[column] == 0.0:
+                        touched[n] = column
+                        n += 1
+                    row[column] += weight
+            if n > 32:
+                touched[:n].sort()
+            else:
+                for i in range(1, n):
+                    value = touched[i]
+                    k = i
+                    while k > 0 and touched[k - 1] > value:
+                        touched[k] = touched[k - 1]
+                        k -= 1
+                    touched[k] = value
+            for i in range(n):
+                column = touched[i]
+                columns[p, i] = column
+                weights[p, i] = row[column]
+                row[column] = 0.0
+            counts[p] = n
+
+
+@njit(parallel=True, cache=True, nogil=True)
+def _pack(columns, weights, indptr, indices, data):  # type: ignore[no-untyped-def]
+    for p in prange(columns.shape[0]):
+        start = indptr[p]
+        for i in range(indptr[p + 1] - start):
+            indices[start + i] = columns[p, i]
+            data[start + i] = weights[p, i]
+
+
+@dataclass(frozen=True)
+class SparseRows:
+    """A block of matrix rows in CSR form.
+
+    Parameters
+    ----------
+    indptr : (rows + 1,) int64
+    indices : (nonzeros,) uint16 or uint32
+        Panel columns, ascending within a row.
+    data : (nonzeros,) float32
+    width : int
+        Columns of the matrix.
+    """
+
+    indptr: NDArray[np.int64]
+    indices: NDArray[np.unsignedinteger]
+    data: NDArray[np.float32]
+    width: int
+
+    @classmethod
+    def from_samples(
+        cls, columns: NDArray[np.unsignedinteger], weights: NDArray[np.float32], width: int
+    ) -> SparseRows:
+        """Merge samples into rows.  Both inputs are overwritten.
+
+        Parameters
+        ----------
+        columns : (rows, samples) uint16 or uint32
+            Panel column each sample came from, below `width` wherever its weight is positive.
+        weights : (rows, samples) float32
+            Samples of zero weight are dropped.
+        width : int
+        """
+        counts = np.empty(columns.shape[0], np.int64)
+        # More chunks than threads, so that bright and dark regions even out.
+        _merge(columns, weights, width, counts, 4 * get_num_threads())
+        indptr = np.concatenate(([0], np.cumsum(counts)))
+        indices = np.empty(indptr[-1], columns.dtype)
+        data = np.empty(indptr[-1], np.float32)
+        _pack(columns, weights, indptr, indices, data)
+        return cls(indptr, indices, data, width)
+
+    @classmethod
+    def concatenate(cls, blocks: list[SparseRows]) -> SparseRows:
+        """Stack blocks of rows, emptying `blocks`: pages are touched as blocks are freed."""
+        width = blocks[0].width
+        lengths = np.concatenate([np.diff(block.indptr) for block in blocks])
+        indptr = np.concatenate(([0], np.cumsum(lengths)))
+        indices = np.empty(indptr[-1], blocks[0].indices.dtype)
+        data = np.empty(indptr[-1], np.float32)
+        start = 0
+        while blocks:
+            block = blocks.pop(0)
+            stop = start + block.data.size
+            indices[start:stop] = block.indices
+            data[start:stop] = block.data
+            start = stop
+        return cls(indptr, indices, data, width)
+
+    def band(self, first: int, last: int) -> SparseRows:
+        """Return rows `first` to `last`; nothing is copied but the row starts."""
+        start, stop = self.indptr[first], self.indptr[last]
+        indptr = self.indptr[first : last + 1] - start
+        return SparseRows(indptr, self.indices[start:stop], self.data[start:stop], self.width)
+
+    def scaled(self, factors: NDArray[np.float64]) -> SparseRows:
+        """Return the rows multiplied by `factors` (rows,)."""
+        repeated = np.repeat(factors.astype(np.float32), np.diff(self.indptr))
+        return SparseRows(self.indptr, self.indices, self.data * repeated, self.width)
+
+    def tocsr(self) -> scipy.sparse.csr_array:
+        """Return a SciPy sparse array of float32 (a copy of the indices)."""
+        return scipy.sparse.csr_array(
+            (self.data, self.indices.astype(np.int64), self.indptr),
+            shape=(self.indptr.size - 1, self.width),
+        )
+
+
+@dataclass(frozen=True)
+class LightTransport:
+    """Light transport from a projector's panel to a camera's pixels.
+
+    Parameters
+    ----------
+    marginals : mapping of "u", "v", "uv" to SparseRows
+        One row per camera pixel, row-major; at least one.
+    ambient : (V, U) float32
+        Radiance with the panel dark, W / (mm^2 sr).
+    panel : (int, int)
+        Width and height of the panel, px.
+    samples : int
+        Monte Carlo samples per pixel it was traced with.
+    """
+
+    marginals: Mapping[Marginal, SparseRows]
+    ambient: NDArray[np.float32]
+    panel: tuple[int, int]
+    samples: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Camera image shape (V, U)."""
+        return self.ambient.shape[0], self.ambient.shape[1]
+
+    def _rows(self, marginal: Marginal) -> SparseRows:
+        if marginal not in self.marginals:
+            raise InputError(
+                "light transport", f"the {marginal!r} marginal", " and ".join(self.marginals)
+            )
+        return self.marginals[marginal]
+
+    def relight(self, profiles: ArrayLike, axis: Literal["u", "v"] = "u") -> NDArray[np.float32]:
+        """Return radiance images under patterns that vary along one panel axis.
+
+        Parameters
+        ----------
+        profiles : (n, W) or (n, H) float
+            Panel radiance per column (axis "u") or row (axis "v"), in [0, 1].
+        axis : {"u", "v"}
+
+        Returns
+        -------
+        (n, V, U) float32
+            W / (mm^2 sr).
+        """
+        return self._relight(profiles, axis)
+
+    def relight_images(self, images: ArrayLike) -> NDArray[np.float32]:
+        """Return radiance images (n, V, U) under any panel images (n, H, W); needs "uv"."""
+        stack = np.asarray(images)
+        if stack.ndim != 3 or stack.shape[1:] != (self.panel[1], self.panel[0]):
+            raise InputError(
+                "panel images", f"shape (n, {self.panel[1]}, {self.panel[0]})", stack.shape
+            )
+        return self._relight(stack.reshape(len(stack), -1), "uv")
+
+    def _relight(self, panels: ArrayLike, marginal: Marginal) -> NDArray[np.float32]:
+        rows = self._rows(marginal)
+        try:
+            values = np.asarray(panels, dtype=np.float32)
+        except (TypeError, ValueError):
+            raise InputError("panel profiles", "numbers", type(panels).__name__) from None
+        if values.ndim != 2 or values.shape[1] != rows.width:
+            raise InputError("panel profiles", f"shape (n, {rows.width})", values.shape)
+        if not np.all(np.isfinite(values)):
+            raise InputError("panel profiles", "finite numbers", "others")
+        out = np.empty((len(values), self.ambient.size), np.float32)
+        # Panel-major, so that one transport entry serves all patterns in one vector operation.
+        panel_major = np.ascontiguousarray(values.T)
+        ambient = self.ambient.reshape(-1)
+        _product(rows.indptr, rows.indices, rows.data, panel_major, ambient, out)
+        return out.reshape(len(values), *self.shape)
+
+    def white(self) -> NDArray[np.float32]:
+        """Return the radiance image of the fully lit panel, (V, U)."""
+        marginal: Marginal = next(iter(self.marginals))
+        return self._relight(np.ones((1, self._rows(marginal).width)), marginal)[0]
+
+    def view_from_projector(self, camera_image: ArrayLike) -> NDArray[np.float64]:
+        """Return ``T^T`` times a camera image: dual photography, needs "uv".
+
+        The scene as the projector would see it, lit by a projector at the camera that shows
+        `camera_image` (Sen et al., "Dual photography", SIGGRAPH 2005).
+
+        Parameters
+        ----------
+        camera_image : (V, U) float
+
+        Returns
+        -------
+        (H, W) float
+        """
+        image = np.asarray(camera_image, dtype=np.float64)
+        if image.shape != self.shape:
+            raise InputError("camera image", f"shape {self.shape}", image.shape)
+        seen = self._rows("uv").tocsr().T @ image.ravel()
+        return seen.reshape(self.panel[1], self.panel[0])
+
+    def band(self, rows: slice) -> LightTransport:
+        """Return the transport to the image rows `rows` (without step)."""
+        first, last, _ = rows.indices(self.shape[0])
+        width = self.shape[1]
+        marginals = {
+            name: block.band(first * width, last * width) for name, block in self.marginals.items()
+        }
+        return LightTransport(marginals, self.ambient[first:last], self.panel, self.samples)
+
+    def batches(self, n_frames: int, budget_bytes: int = 1 << 28) -> Iterator[slice]:
+        """Split `n_frames` so that each batch of float32 images stays within `budget_bytes`."""
+        step = max(1, budget_bytes // (4 * self.ambient.size))
+        for first in range(0, n_frames, step):
+            yield slice(first, min(first + step, n_frames))
+
+    def save(self, path: str | Path) -> None:
+        """Write as ``.npz`` without pickles."""
+        arrays: dict[str, np.ndarray] = {
+            "format": np.array(_FORMAT),
+            "panel": np.array(self.panel),
+            "samples": np.array(self.samples),
+            "ambient": self.ambient,
+        }
+        for name, rows in self.marginals.items():
+            # Row lengths are small numbers: a byte or two each, where row starts take eight.
+            counts = np.diff(rows.indptr)
+            arrays[f"{name}_counts"] = counts.astype(np.min_scalar_type(counts.max(initial=0)))
+            arrays[f"{name}_indices"] = rows.indices
+            arrays[f"{name}_data"] = rows.data
+        write_npz(path, **arrays)
+
+    @classmethod
+    def load(cls, path: str | Path) -> LightTransport:
+        """Read what :meth:`save` wrote.
+
+        Raises
+        ------
+        InputError
+            If the file is missing, corrupt, or inconsistent.
+        """
+        arrays = read_npz(path)
+        version = _checked(path, arrays, "format", "iu", 0)
+        if int(version) != _FORMAT:
+            raise InputError(f"{path}: format", str(_FORMAT), version)
+        samples = int(_checked(path, arrays, "samples", "iu", 0))
+        ambient = _checked(path, arrays, "ambient", "f", 2).astype(np.float32, copy=False)
+        panel = _checked(path, arrays, "panel", "iu", 1)
+        if panel.shape != (2,) or panel.min() < 1:
+            raise InputError(f"{path}: panel", "a width and a height", panel)
+        width, height = (int(n) for n in panel)
+        columns: dict[Marginal, int] = {"u": width, "v": height, "uv": width * height}
+        marginals: dict[Marginal, SparseRows] = {}
+        for name, size in columns.items():
+            if f"{name}_counts" not in arrays:
+                continue
+            counts = _checked(path, arrays, f"{name}_counts", "u", 1)
+            indptr = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
+            indices = _checked(path, arrays, f"{name}_indices", "u", 1)
+            data = _checked(path, arrays, f"{name}_data", "f", 1).astype(np.float32, copy=False)
+            consistent = (
+                indptr.size == ambient.size + 1
+                and indices.size == data.size == indptr[-1]
+                and (indices.size == 0 or int(indices.max()) < size)
+            )
+            if not consistent:
+                raise InputError(f"{path}: {name}", "a consistent sparse matrix", "a damaged one")
+            marginals[name] = SparseRows(indptr, indices, data, size)
+        if not marginals:
+            raise InputError(path, "at least one of the marginals u, v, uv", "none")
+        return cls(marginals, ambient, (width, height), samples)
+
+
+def _checked(
+    path: str | Path, arrays: dict[str, NDArray[Any]], key: str, kinds: str, dimensions: int
+) -> NDArray[Any]:
+    """Return an array of a file if it is there, of the right kind, finite and not negative."""
+    if key not in arrays:
+        raise InputError(f"{path}: {key}", "a light transport file", "no such entry")
+    array = arrays[key]
+    if array.dtype.kind not in kinds or array.ndim != dimensions:
+        found = f"{array.dtype} of shape {array.shape}"
+        raise InputError(f"{path}: {key}", f"{dimensions}-dimensional numbers", found)
+    if array.size and not (array.min() >= 0 and array.max() < np.inf):
+        raise InputError(f"{path}: {key}", "finite numbers that are not negative", "others")
+    return array

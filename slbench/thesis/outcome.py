@@ -1,0 +1,183 @@
+"""What an experiment of the bench found: tables, figures, and a verdict per finding.
+
+A *finding* is a statement of the thesis that a simulation can confirm or not.  Its verdict
+comes from a criterion on measured numbers, never from a judgement made beforehand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from slbench.core.io import atomic_folder, provenance, write_json
+from slbench.core.io.atomic import write_bytes
+from slbench.report import Cloud, Page, Part, Picture, Table
+
+Verdict = Literal["reproduced", "in part", "not reproduced"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One statement of the thesis beside what the simulation says of it.
+
+    Parameters
+    ----------
+    name : str
+        Short, e.g. ``"ch6-plane-ratio"``.
+    statement : str
+        What the thesis says, with its figure or table.
+    criterion : str
+        What has to hold here for it to count as reproduced.
+    verdict : {"reproduced", "in part", "not reproduced"}
+    evidence : str
+        The measured numbers that decide, in words.
+    thesis, ours : float or None
+        The number in question, where there is one; the same unit.
+    interval : (float, float) or None
+        95 % confidence of `ours`.
+    unit : str
+    why : str
+        Where it is not reproduced, or only in part: the reason.
+    """
+
+    name: str
+    statement: str
+    criterion: str
+    verdict: Verdict
+    evidence: str
+    thesis: float | None = None
+    ours: float | None = None
+    interval: tuple[float, float] | None = None
+    unit: str = ""
+    why: str = ""
+
+    @property
+    def ratio(self) -> float | None:
+        """Ours over the thesis's number."""
+        if self.thesis is None or self.ours is None or self.thesis == 0.0:
+            return None
+        return self.ours / self.thesis
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "name": self.name,
+            "statement": self.statement,
+            "criterion": self.criterion,
+            "verdict": self.verdict,
+            "evidence": self.evidence,
+            "thesis": self.thesis,
+            "ours": self.ours,
+            "ratio": self.ratio,
+            "interval": self.interval,
+            "unit": self.unit,
+            "why": self.why,
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What the experiments of one chapter found.
+
+    Parameters
+    ----------
+    chapter : str
+        ``"ch6"``, ``"ch7"`` or ``"ch8"``; names the files.
+    title : str
+    findings : tuple of Finding
+    tables : tuple of Table
+    pictures : mapping of str to Picture
+        By file name without suffix.
+    clouds : tuple of Cloud
+        For the page.
+    parameters : mapping
+        For the provenance: scenes, sizes, samples, repeats.
+    seed : int
+    seconds : mapping of str to float
+    preview : bool
+    """
+
+    chapter: str
+    title: str
+    findings: tuple[Finding, ...]
+    tables: tuple[Table, ...]
+    pictures: Mapping[str, Picture]
+    clouds: tuple[Cloud, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    preview: bool = False
+
+    @property
+    def summary(self) -> Table:
+        """The findings as a table."""
+        rows = []
+        for finding in self.findings:
+            interval = finding.interval
+            limits = "–" if interval is None else f"{interval[0]:.4g} to {interval[1]:.4g}"
+            rows.append(
+                (
+                    finding.statement,
+                    finding.verdict,
+                    finding.thesis,
+                    finding.ours,
+                    limits,
+                    finding.ratio,
+                    finding.unit,
+                )
+            )
+        columns = ("finding", "verdict", "thesis", "ours", "95 %", "ours / thesis", "unit")
+        return Table("Findings", columns, tuple(rows))
+
+    def markdown(self) -> str:
+        """Return findings and tables as Markdown."""
+        lines = [f"# {self.title}", ""]
+        if self.preview:
+            lines += ["A preview: few pixels, samples and repeats.", ""]
+        parts = ["\n".join(lines), self.summary.markdown()]
+        details = ["## Why each verdict", ""]
+        for finding in self.findings:
+            why = f" {finding.why}" if finding.why else ""
+            details.append(
+                f"- **{finding.name}**: {finding.verdict}. Criterion: {finding.criterion}. "
+                f"{finding.evidence}{why}"
+            )
+        parts.append("\n".join(details) + "\n")
+        parts += [table.markdown() for table in self.tables]
+        return "\n".join(parts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        return {
+            "chapter": self.chapter,
+            "title": self.title,
+            "preview": self.preview,
+            "findings": [finding.to_dict() for finding in self.findings],
+            "tables": [table.to_dict() for table in self.tables],
+            "seconds": dict(self.seconds),
+        }
+
+    def page(self) -> Page:
+        """Return the outcome as a report."""
+        parts: list[Part] = [self.summary, *self.tables, *self.pictures.values(), *self.clouds]
+        return Page(self.title, tuple(parts), provenance(self.parameters, self.seed))
+
+
+def write_outcome(outcome: Outcome, folder: str | Path) -> None:
+    """Write ``CHAPTER.md``, ``CHAPTER.json``, the pictures and ``provenance.json``.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    folder : path
+        Of this chapter alone; files of the same names are replaced, others stay.
+    """
+    with atomic_folder(folder) as temporary:
+        write_bytes(temporary / f"{outcome.chapter}.md", outcome.markdown().encode())
+        write_json(temporary / f"{outcome.chapter}.json", outcome.to_dict())
+        for name, picture in outcome.pictures.items():
+            write_bytes(temporary / f"{name}.png", picture.png)
+        parameters = {**outcome.parameters, "preview": outcome.preview}
+        write_json(temporary / "provenance.json", provenance(parameters, outcome.seed))

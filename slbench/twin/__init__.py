@@ -1,0 +1,1 @@
+"""The simulated instrument beside the real one: the calibration experiment."""

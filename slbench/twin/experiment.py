@@ -1,0 +1,253 @@
+"""The calibration experiment (thesis 5.4, 8.3): a grid of dots on a stage, rendered.
+
+At every position of the stage the target is captured (as a focus stack where the scene has
+focus settings), its dots are detected in the lit frame, numbered, and re-mapped to the panel.
+A position that shows no dots (blurred away, or out of view) is left out and counted: the others
+have cost too much to lose.
+World coordinates are those of the stage and of the certified grid, as in the laboratory; the
+detections are scored besides against the exact projections of the true centres, which only a
+simulation has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.target.detect import Dots, detect_dots
+from slbench.calibration.target.indexing import index_grid
+from slbench.calibration.target.remap import remap
+from slbench.capture.capture import Capture, capture
+from slbench.capture.stack import WeightSource
+from slbench.core.errors import InputError
+from slbench.patterns import Axis, Flat, PhaseMap
+from slbench.rig import Pose
+from slbench.scene.model import Scene
+from slbench.simulate.scan import capture_stack, with_lit_frame
+
+Array = NDArray[np.float64]
+
+Remapping = Literal["ring", "bilinear"]
+
+#: Inner and outer radius of the ring about a dot, in radii: from beyond its blurred rim to
+#: before the neighbours' at 3 radii (a pitch of two diameters).
+_RING = (1.3, 2.5)
+#: Stage positions of the thesis: heights through the volume, lateral shifts, mm.
+Z_STEPS, Y_STEPS, Y_STEP_MM = 11, 6, 0.020
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """What the experiment found.
+
+    Parameters
+    ----------
+    points : CalibrationPoints
+        n dots of all positions, with nominal world coordinates.
+    position : (n,) int
+        Stage position of each.
+    positions_mm : (m, 3) float
+        Nominal stage positions.
+    detection_px : (n, 2) float
+        Detected less projected true centres, px.
+    """
+
+    points: CalibrationPoints
+    position: NDArray[np.intp]
+    positions_mm: Array
+    detection_px: Array
+
+    @property
+    def without_dots(self) -> NDArray[np.intp]:
+        """Return the stage positions that no point is from."""
+        return np.setdiff1d(np.arange(len(self.positions_mm)), self.position)
+
+
+def stage_positions(
+    scene: Scene,
+    z_steps: int = Z_STEPS,
+    y_steps: int = Y_STEPS,
+    y_step_mm: float = Y_STEP_MM,
+) -> Array:
+    """Return stage positions: all heights for each shift along y, as thesis 5.4.1.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its volume's height is swept.
+    z_steps, y_steps : int
+    y_step_mm : float
+
+    Returns
+    -------
+    (z_steps y_steps, 3) float
+        mm, centred on the origin.
+    """
+    if z_steps < 2 or y_steps < 1:
+        raise InputError("stage", "two heights and one shift at least", f"{z_steps}, {y_steps}")
+    half = 0.5 * scene.rig.volume_mm[2]
+    y, z = np.meshgrid(
+        y_step_mm * (np.arange(y_steps) - 0.5 * (y_steps - 1)),
+        np.linspace(-half, half, z_steps),
+        indexing="ij",
+    )
+    return np.column_stack((np.zeros(y.size), y.ravel(), z.ravel()))
+
+
+def run_experiment(
+    scene: Scene,
+    positions_mm: Array,
+    *,
+    stage_sigma_mm: float = 0.0,
+    remapping: Remapping = "ring",
+    weights: WeightSource = "lit",
+    seed: int = 0,
+    on_progress: Callable[[str, float], None] | None = None,
+) -> Experiment:
+    """Capture, detect, number and re-map the dots of a grid at every stage position.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its first object is a grid of dots (``calibration-grid`` or ``circle-grid``), level
+        and unturned; its patterns code the axes that the models are to have.
+    positions_mm : (m, 3) float
+        Displacements of the stage from the object's position in the scene.
+    stage_sigma_mm : float
+        Standard deviation of the true position about the nominal one, each axis.
+    remapping : {"ring", "bilinear"}
+        ``bilinear`` interpolates the phase at the centre (thesis eq. 33-36), which is that of a
+        dark dot: noisy, or lost where fringes are blurred.  ``ring`` fits a quadratic to the
+        phase of the plate around the dot.
+    weights : {"lit", "modulation"}
+        Of the fusion, where the scene has focus settings.
+    seed : int
+    on_progress : callable, optional
+
+    Returns
+    -------
+    Experiment
+
+    Raises
+    ------
+    InputError
+        If the first object has no dots, no position shows any, or nothing can be captured.
+    """
+    grid = scene.objects[0]
+    dots = grid.artefact.targets
+    if dots is None or "dots" not in grid.artefact.parts:
+        raise InputError(f"scene {scene.name}: objects[0]", "a grid of dots", grid.artefact.name)
+    if remapping not in ("ring", "bilinear"):
+        raise InputError("remapping", "ring or bilinear", repr(remapping))
+    if not 0 <= stage_sigma_mm < np.inf:
+        raise InputError("stage sigma", "zero or a positive length (mm)", stage_sigma_mm)
+    camera = scene.rig.camera
+    errors = np.random.default_rng([seed, 3]).normal(0.0, stage_sigma_mm or 0.0, positions_mm.shape)
+    pixels, world, position, detection = [], [], [], []
+    problems, captured = [], False
+    for k, (nominal, error) in enumerate(zip(positions_mm, errors, strict=True)):
+        nominal_pose = Pose(grid.pose.rotation, grid.pose.position + nominal)
+        moved = replace(grid, pose=Pose(grid.pose.rotation, nominal_pose.position + error))
+        placed = replace(scene, objects=(moved, *scene.objects[1:]))
+        own = int(np.random.SeedSequence([seed, 4, k]).generate_state(1)[0])
+        try:
+            shots, phase = _measured(placed, weights, own)
+            captured = True
+            found, which, columns = _dots(placed, nominal_pose, remapping, shots, phase)
+        except InputError as problem:
+            where = f"stage position {k + 1}: {problem.where}"
+            problems.append(InputError(where, problem.expected, problem.got))
+            # A scene that cannot be captured at all fails at once, before others are rendered.
+            if not captured:
+                raise problems[0] from None
+            continue
+        finally:
+            if on_progress:
+                on_progress("positions", (k + 1) / len(positions_mm))
+        v_p = columns.get("v", np.full(len(found), np.nan))
+        u_p = columns["u"]
+        good = (which >= 0) & np.isfinite(u_p) & (np.isfinite(v_p) | ("v" not in columns))
+        pixels.append(np.column_stack((found.centres, u_p, v_p))[good])
+        nominal_world = nominal_pose.to_world(dots)
+        true = camera.project(moved.pose.to_world(dots))
+        world.append(nominal_world[which[good]])
+        detection.append(found.centres[good] - true[which[good]])
+        position.append(np.full(int(good.sum()), k))
+    if not sum(map(len, position)):
+        nothing = InputError("stage positions", "dots that can be numbered and decoded", "none")
+        raise problems[0] if problems else nothing
+    return Experiment(
+        CalibrationPoints(np.concatenate(pixels), np.concatenate(world)),
+        np.concatenate(position),
+        positions_mm,
+        np.concatenate(detection),
+    )
+
+
+def _dots(
+    scene: Scene, nominal: Pose, remapping: Remapping, shots: Capture, phase: PhaseMap
+) -> tuple[Dots, NDArray[np.intp], dict[Axis, Array]]:
+    """Detect the dots of one position: where, which, and their panel coordinates by axis."""
+    lit = next(
+        i
+        for i, frame in enumerate(shots.sequence.frames())
+        if isinstance(frame.part, Flat) and frame.part.level == 1.0
+    )
+    found = detect_dots(shots.frames[lit])
+    dots = scene.objects[0].artefact.targets
+    assert dots is not None  # by run_experiment
+    which = _numbered(found.centres, dots, scene.rig.camera.project(nominal.to_world(dots)))
+    ring = remapping == "ring"
+    reach = int(np.ceil(_RING[1] * float(np.median(found.radii))))
+    panel = remap(
+        found.centres,
+        phase,
+        centre_sd=found.sd,
+        window=reach if ring else None,
+        exclude_px=_RING[0] * found.semi_axes[:, 0] if ring else 0.0,
+    )
+    return found, which, {axis: panel.coordinates[:, i] for i, axis in enumerate(panel.axes)}
+
+
+def _measured(scene: Scene, weights: WeightSource, seed: int) -> tuple[Capture, PhaseMap]:
+    """Capture a scene with a lit frame, fused where it has focus settings, and decode."""
+    from slbench.simulate.render.trace import trace
+
+    if scene.focus is not None:
+        fused = capture_stack(scene, seed=seed).fuse(weights)
+        return fused.capture, fused.decode()
+    lit = with_lit_frame(scene)
+    shots = capture(lit, trace(lit, seed=seed), seed=seed)
+    return shots, shots.decode()
+
+
+def _numbered(centres: Array, dots: Array, expected: Array) -> NDArray[np.intp]:
+    """Return which of the grid's dots each centre is, -1 for none.
+
+    Parameters
+    ----------
+    centres : (n, 2) float
+        Detected, px.
+    dots : (k, 3) float
+        The grid's, row by row, columns towards +x, rows towards -y.
+    expected : (k, 2) float
+        Where the nominal pose has them in the image; right to half a cell.
+    """
+    columns = len(np.unique(np.round(dots[:, 0], 9)))
+    rows = len(dots) // columns
+    middle = centres.mean(axis=0)
+    anchor = int(np.argmin(np.sum((expected - middle) ** 2, axis=1)))
+    index = index_grid(
+        centres,
+        near=expected[anchor],
+        anchor=(anchor % columns, anchor // columns),
+        column_direction=expected[1] - expected[0],
+    )
+    column, row = index.indices.T
+    known = index.inlier & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
+    return np.where(known, row * columns + column, -1).astype(np.intp)

@@ -1,0 +1,371 @@
+"""Ground truth against rays met with planes and spheres on paper."""
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from slbench import objects
+from slbench.core.errors import InputError
+from slbench.core.io import read_exr, write_exr
+from slbench.objects import Artefact, Mesh
+from slbench.patterns import PatternSequence
+from slbench.rig import Camera, Lens, Pose, Projector, Rig
+from slbench.scene.model import Scene, SceneObject
+from slbench.scene.truth import GroundTruth, Status
+from slbench.simulate.render.groundtruth import ground_truth
+
+DISTORTION = (-0.2, 0.08, 0.002, -0.003, 0.02)
+TILT = (0.05, -0.03)
+SIZE = (80, 60)
+PANEL = (160, 120)
+BALL = objects.build("sphere", {"radius_mm": 12.5, "max_form_error_um": 50.0})
+
+
+def make_rig(camera=None, projector=None, distorted=False):
+    """Return a rig with fields of some 130 mm (camera) and 190 mm (projector) at the origin."""
+    more = {"distortion": DISTORTION, "tilt_rad": TILT} if distorted else {}
+    return Rig(
+        Camera(
+            *SIZE,
+            (0.06, 0.06),
+            camera or Lens(16.0, 2.0, 440.0),
+            pose=Pose.looking_at((-220.0, 40.0, 380.0), (0, 0, 0), (0.1, -1, 0)),
+            **more,
+        ),
+        Projector(
+            *PANEL,
+            (0.04, 0.04),
+            projector or Lens(28.0, 5.0, 780.0),
+            pose=Pose.looking_at((300.0, 100.0, 720.0), (0, 0, 0), (0, -1, 0)),
+            **more,
+        ),
+    )
+
+
+RIGS = {
+    "thin lenses": make_rig(),
+    "distorted and tilted": make_rig(distorted=True),
+    "telecentric": make_rig(
+        Lens.telecentric(0.04, 0.01, 440.0), Lens.telecentric(0.04, 0.005, 780.0)
+    ),
+}
+
+
+def scene_of(rig, *items):
+    return Scene("truth", rig, items, PatternSequence.parse("1", PANEL))
+
+
+def plate(size=(400.0, 400.0), pose=None):
+    artefact = objects.build("plane", {"size_mm": size, "thickness_mm": 1.0})
+    return SceneObject(artefact, pose or Pose())
+
+
+def solid(mesh_vertices, mesh_faces, pose=None):
+    return SceneObject(
+        Artefact("solid", "mesh", {}, Mesh(mesh_vertices, mesh_faces), {}), pose or Pose()
+    )
+
+
+def box(low, high):
+    """Return a box and its eight corners."""
+    corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+    hull = ConvexHull(corners)
+    faces = hull.simplices.copy()
+    normals = np.cross(
+        corners[faces[:, 1]] - corners[faces[:, 0]], corners[faces[:, 2]] - corners[faces[:, 0]]
+    )
+    inward = np.sum(normals * hull.equations[:, :3], axis=1) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return solid(corners, faces), corners
+
+
+def check_devices(truth, rig):
+    """Pixel, depth, panel coordinate and blur of the truth's points, by OpenCV and by hand."""
+    hit = truth.status != Status.MISSED
+    point = truth.point[hit]
+    camera, projector = rig.camera, rig.projector
+    z_camera = (point - camera.pose.position) @ camera.pose.rotation[:, 2]
+    z_projector = (point - projector.pose.position) @ projector.pose.rotation[:, 2]
+    np.testing.assert_allclose(truth.depth[hit], z_camera, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(truth.panel[hit], projector.project(point), rtol=0, atol=1e-9)
+    if camera.lens.kind == "perspective":
+        for device, expected in (
+            (camera, camera.pixel_grid()[hit]),
+            (projector, truth.panel[hit]),
+        ):
+            rotation = device.pose.rotation.T
+            pixels, _ = cv2.projectPoints(
+                point,
+                cv2.Rodrigues(rotation)[0],
+                -rotation @ device.pose.position,
+                device.matrix,
+                device.opencv_distortion,
+            )
+            # A rotation vector keeps a rotation to 1e-15, some 1e-12 px.
+            np.testing.assert_allclose(pixels[:, 0], expected, rtol=0, atol=1e-8)
+    if not any(camera.tilt_rad):
+        for device, z, coc in (
+            (camera, z_camera, truth.camera_coc),
+            (projector, z_projector, truth.projector_coc),
+        ):
+            lens = device.lens
+            scale = lens.focus_distance_mm if lens.kind == "telecentric" else z
+            # Thin lens: 2 a c |1/s - 1/Z|; telecentric: the cone's width at Z, magnified.
+            blur = 2 * lens.aperture_radius_mm * lens.focal_length_mm / device.pitch_mm[0]
+            blur = blur * np.abs(z - lens.focus_distance_mm) / (lens.focus_distance_mm * scale)
+            np.testing.assert_allclose(coc[hit], blur, rtol=1e-9, atol=1e-9)
+
+
+# -- planes and spheres ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("angles", [(0, 0, 0), (20, -25, 40)])
+def test_plane(name, angles):
+    rig = RIGS[name]
+    pose = Pose(
+        Rotation.from_euler("XYZ", angles, degrees=True).as_matrix(), np.array([3.0, -2.0, 5.0])
+    )
+    truth = ground_truth(scene_of(rig, plate(pose=pose)))
+    origins, directions = rig.camera.unproject(rig.camera.pixel_grid())
+    normal = pose.rotation[:, 2]
+    distance = ((pose.position - origins) @ normal) / (directions @ normal)
+    expected = origins + distance[..., None] * directions
+    assert (truth.status != Status.MISSED).all()
+    # Double precision at 500 mm; distortion undone to 1e-12 by either.
+    np.testing.assert_allclose(truth.point, expected, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(truth.normal, np.broadcast_to(normal, expected.shape), atol=1e-12)
+    assert (truth.object_id == 0).all()
+    check_devices(truth, rig)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_sphere(name):
+    rig = RIGS[name]
+    radius, form_um, centre = 30.0, 20.0, np.array([2.0, -3.0, 4.0])
+    ball = objects.build("sphere", {"radius_mm": radius, "max_form_error_um": form_um})
+    truth = ground_truth(scene_of(rig, SceneObject(ball, Pose(np.eye(3), centre))))
+    origins, directions = rig.camera.unproject(rig.camera.pixel_grid())
+    along = np.sum((centre - origins) * directions, axis=-1)
+    nearest = np.linalg.norm(origins + along[..., None] * directions - centre, axis=-1)
+    hit = truth.status != Status.MISSED
+    # The silhouette is that of the sphere, within the form error.
+    assert hit[nearest < radius - form_um * 1e-3].all()
+    assert not hit[nearest > radius + form_um * 1e-3].any()
+    # Every point lies on the sphere within the form error ...
+    distance = np.linalg.norm(truth.point[hit] - centre, axis=-1)
+    assert np.abs(distance - radius).max() <= form_um * 1e-3 * (1 + 1e-9)
+    # ... and on its own ray.
+    off = truth.point[hit] - origins[hit]
+    assert np.linalg.norm(np.cross(off, directions[hit]), axis=-1).max() < 1e-9
+    # Away from the rim the distance along the ray is the sphere's: form error over cosine.
+    inner = hit & (nearest < 0.8 * radius)
+    analytic = along - np.sqrt(np.maximum(radius**2 - nearest**2, 0.0))
+    measured = np.sum((truth.point - origins) * directions, axis=-1)
+    assert np.abs(measured - analytic)[inner].max() < form_um * 1e-3 / 0.6
+    # Facets are chords: their normals are off by half their angular size, 2 sqrt(2 f / R) at
+    # the most for a sag of f.
+    radial = (truth.point - centre) / radius
+    cosine = np.sum(truth.normal * radial, axis=-1)[hit]
+    assert np.rad2deg(np.arccos(cosine.min())) < np.rad2deg(
+        2 * np.sqrt(2 * form_um * 1e-3 / radius)
+    )
+    check_devices(truth, rig)
+
+
+def test_normals_face_the_camera_whatever_the_winding():
+    rig = RIGS["thin lenses"]
+    # A single triangle, wound either way.
+    vertices = np.array([[-200.0, -200.0, 0.0], [200.0, -200.0, 0.0], [0.0, 300.0, 0.0]])
+    truths = [
+        ground_truth(scene_of(rig, solid(vertices, np.array([face]))))
+        for face in ([0, 1, 2], [0, 2, 1])
+    ]
+    for truth in truths:
+        hit = truth.status != Status.MISSED
+        assert hit.sum() > 1000
+        np.testing.assert_allclose(truth.normal[hit], np.tile([0, 0, 1.0], (hit.sum(), 1)))
+    np.testing.assert_array_equal(truths[0].status, truths[1].status)
+
+
+# -- lit, shadowed, outside, missed --------------------------------------------------------------
+
+
+def test_rays_past_the_object_miss():
+    rig = RIGS["thin lenses"]
+    half = np.array([20.0, 15.0])
+    truth = ground_truth(scene_of(rig, plate(tuple(2 * half))))
+    origins, directions = rig.camera.unproject(rig.camera.pixel_grid())
+    place = origins - (origins[..., 2:] / directions[..., 2:]) * directions
+    inside = np.all(np.abs(place[..., :2]) < half, axis=-1)
+    missed = truth.status == Status.MISSED
+    # The plate is a slab: some rays miss its top and meet a side.
+    assert not missed[inside].any()
+    far = np.any(np.abs(place[..., :2]) > half + 2.0, axis=-1)
+    assert missed[far].all()
+    for values in (truth.point, truth.normal, truth.depth, truth.panel):
+        assert np.isnan(values[missed]).all()
+    assert np.isnan(truth.camera_coc[missed]).all()
+    assert np.isnan(truth.projector_coc[missed]).all()
+    assert (truth.object_id[missed] == -1).all()
+
+
+def in_convex(polygon, points, margin):
+    """Tell which points lie inside a convex hull by more than `margin` (negative: around it)."""
+    equations = ConvexHull(polygon).equations
+    return np.all(points @ equations[:, :2].T + equations[:, 2] < -margin, axis=-1)
+
+
+@pytest.mark.parametrize("name", ["thin lenses", "telecentric"])
+def test_the_shadow_of_a_box_is_where_projection_puts_it(name):
+    rig = RIGS[name]
+    block, corners = box((-10.0, -8.0, 0.0), (12.0, 9.0, 45.0))
+    truth = ground_truth(scene_of(rig, plate(), block))
+    # The corners, seen from the projector, on the floor.
+    if rig.projector.lens.kind == "telecentric":
+        beam = np.broadcast_to(rig.projector.pose.rotation[:, 2], corners.shape)
+    else:
+        beam = corners - rig.projector.pose.position
+    feet = corners - (corners[:, 2:] / beam[:, 2:]) * beam
+    floor = truth.object_id == 0
+    place = truth.point[..., :2]
+    # Single-precision shadow rays are good to 0.1 um; a pixel is 2 mm.
+    umbra = floor & in_convex(feet[:, :2], np.nan_to_num(place), 1e-3)
+    clear = floor & ~in_convex(feet[:, :2], np.nan_to_num(place), -1e-3)
+    assert umbra.sum() > 100
+    assert (truth.status[umbra] == Status.SHADOWED).all()
+    seen = truth.status[clear]
+    assert np.isin(seen, (Status.LIT, Status.OUTSIDE)).all()
+    # A shadowed point still says where the projector would see it.
+    np.testing.assert_allclose(
+        truth.panel[umbra], rig.projector.project(truth.point[umbra]), rtol=0, atol=1e-9
+    )
+
+
+def test_a_face_turned_away_from_the_projector_is_shadowed():
+    # The camera sees the box's -x side, the projector the opposite one.
+    rig = RIGS["thin lenses"]
+    block, _ = box((-10.0, -8.0, 0.0), (12.0, 9.0, 45.0))
+    truth = ground_truth(scene_of(rig, block))
+    side = np.abs(truth.normal[..., 0] + 1.0) < 1e-9
+    top = np.abs(truth.normal[..., 2] - 1.0) < 1e-9
+    assert side.sum() > 50
+    assert (truth.status[side] == Status.SHADOWED).all()
+    assert (truth.status[top] == Status.LIT).all()
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_beyond_the_panel_is_outside(name):
+    rig = RIGS[name]
+    # Only half of the panel is left: its edge runs through the picture.
+    projector = Projector(
+        PANEL[0] // 2,
+        PANEL[1],
+        rig.projector.pitch_mm,
+        rig.projector.lens,
+        principal_point=rig.projector.centre,
+        distortion=rig.projector.distortion,
+        tilt_rad=rig.projector.tilt_rad,
+        pose=rig.projector.pose,
+    )
+    rig = Rig(rig.camera, projector)
+    sequence = PatternSequence.parse("1", (PANEL[0] // 2, PANEL[1]))
+    truth = ground_truth(Scene("half", rig, (plate(),), sequence))
+    u, v = truth.panel[..., 0], truth.panel[..., 1]
+    inside = (u >= -0.5) & (u < PANEL[0] // 2 - 0.5) & (v >= -0.5) & (v < PANEL[1] - 0.5)
+    assert 500 < inside.sum() < inside.size - 500
+    assert np.array_equal(truth.status == Status.LIT, inside)
+    assert (truth.status[~inside] == Status.OUTSIDE).all()
+
+
+def test_the_nearest_object_is_met_and_named():
+    rig = RIGS["thin lenses"]
+    low = plate(pose=Pose(np.eye(3), np.array([0.0, 0.0, -10.0])))
+    high = plate((40.0, 400.0), pose=Pose(np.eye(3), np.array([0.0, 0.0, 10.0])))
+    for items in ((low, high), (high, low)):
+        truth = ground_truth(scene_of(rig, *items))
+        upper = items.index(high)
+        top = truth.point[..., 2] > 9.9999
+        assert 500 < top.sum() < top.size - 500
+        assert (truth.object_id[top] == upper).all()
+        floor = np.abs(truth.point[..., 2] + 10.0) < 1e-9
+        assert (truth.object_id[floor] == 1 - upper).all()
+
+
+def test_passes_do_not_show(monkeypatch):
+    rig = RIGS["distorted and tilted"]
+    block, _ = box((-10.0, -8.0, 0.0), (12.0, 9.0, 45.0))
+    scene = scene_of(rig, plate(), block)
+    whole = ground_truth(scene)
+    monkeypatch.setattr("slbench.simulate.render.groundtruth._PIXELS_PER_PASS", 7 * SIZE[0])
+    banded = ground_truth(scene)
+    for name in ("point", "normal", "depth", "panel", "status", "object_id", "camera_coc"):
+        np.testing.assert_array_equal(getattr(whole, name), getattr(banded, name))
+
+
+def test_pixels_beyond_an_invertible_distortion_miss():
+    # r (1 - 0.9 r^2) never exceeds 0.41: the corners of this wide sensor see nothing.
+    rig = make_rig()
+    wide = Camera(
+        *SIZE,
+        (0.25, 0.25),
+        Lens(16.0),
+        distortion=(-0.9, 0.0, 0.0, 0.0, 0.0),
+        pose=rig.camera.pose,
+    )
+    truth = ground_truth(scene_of(Rig(wide, rig.projector), plate((3000.0, 3000.0))))
+    r = np.linalg.norm(wide.pixel_grid() - wide.centre, axis=-1) * 0.25 / 16.0
+    turning = 1 / np.sqrt(3 * 0.9)
+    limit = turning * (1 - 0.9 * turning**2)
+    assert (truth.status[r > limit + 1e-3] == Status.MISSED).all()
+    assert (truth.status[r < 0.9 * limit] != Status.MISSED).all()
+
+
+# -- smooth pixels and the file --------------------------------------------------------------------
+
+
+def test_smooth_pixels_keep_a_pixel_away_from_every_edge():
+    rig = RIGS["thin lenses"]
+    block, _ = box((-10.0, -8.0, 0.0), (12.0, 9.0, 45.0))
+    truth = ground_truth(scene_of(rig, plate(), block))
+    smooth = truth.smooth()
+    assert smooth.sum() > 1000
+    for v, u in np.argwhere(smooth):
+        near = np.s_[v - 1 : v + 2, u - 1 : u + 2]
+        assert truth.lit[near].all()
+        assert len(np.unique(truth.object_id[near])) == 1
+        assert len(np.unique(np.round(truth.normal[near].reshape(-1, 3), 6), axis=0)) == 1
+    # A plane's panel coordinate is smooth: only borders and edges are left out.
+    flat = ground_truth(scene_of(rig, plate()))
+    expected = np.zeros_like(smooth)
+    lit = flat.lit
+    expected[1:-1, 1:-1] = np.logical_and.reduce(
+        [lit[dv : dv + SIZE[1] - 2, du : du + SIZE[0] - 2] for dv in range(3) for du in range(3)]
+    )
+    assert np.array_equal(flat.smooth(), expected)
+
+
+def test_exr_keeps_the_truth_to_single_precision(tmp_path):
+    rig = RIGS["distorted and tilted"]
+    truth = ground_truth(scene_of(rig, plate((60.0, 50.0)), SceneObject(BALL)))
+    assert set(np.unique(truth.status)) >= {Status.MISSED, Status.LIT, Status.SHADOWED}
+    truth.save(tmp_path / "truth.exr")
+    again = GroundTruth.load(tmp_path / "truth.exr")
+    np.testing.assert_array_equal(again.status, truth.status)
+    np.testing.assert_array_equal(again.object_id, truth.object_id)
+    for name in ("point", "normal", "depth", "panel", "camera_coc", "projector_coc"):
+        # Single precision, NaN included.
+        np.testing.assert_array_equal(
+            getattr(again, name), getattr(truth, name).astype(np.float32).astype(np.float64)
+        )
+    channels = read_exr(tmp_path / "truth.exr")
+    assert {"point.X", "normal.Z", "panel.u", "depth.Z", "status", "object"} <= set(channels)
+
+
+def test_an_exr_without_a_channel_is_refused(tmp_path):
+    path = tmp_path / "truth.exr"
+    write_exr(path, {"depth.Z": np.zeros((4, 5), np.float32)})
+    with pytest.raises(InputError, match=r"point\.X: expected this channel"):
+        GroundTruth.load(path)

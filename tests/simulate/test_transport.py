@@ -1,0 +1,327 @@
+"""Light transport matrices: merging, products, marginals and files.  No renderer needed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse
+from hypothesis import given
+from hypothesis import strategies as st
+
+from slbench.core.errors import InputError
+from slbench.simulate.transport import LightTransport, SparseRows
+
+#: float32 has 24 bits; sums of up to 100 terms of one sign in any order.
+RTOL = 100 * 2.0**-24
+
+
+def by_scipy(columns, weights, width):
+    """Merge with SciPy, in double precision."""
+    rows = np.repeat(np.arange(columns.shape[0]), columns.shape[1])
+    keep = weights.ravel() > 0
+    entries = (weights.ravel()[keep].astype(np.float64), (rows[keep], columns.ravel()[keep]))
+    return scipy.sparse.coo_array(entries, shape=(columns.shape[0], width)).tocsr()
+
+
+def samples(rows, per_row, width, dtype, seed, zeros=0.2, spread=None):
+    """Return random samples; `spread` columns around a random one for each row."""
+    rng = np.random.default_rng(seed)
+    spread = spread or width
+    first = rng.integers(0, width - spread + 1, (rows, 1))
+    columns = (first + rng.integers(0, spread, (rows, per_row))).astype(dtype)
+    weights = rng.random((rows, per_row)).astype(np.float32)
+    weights[rng.random((rows, per_row)) < zeros] = 0.0
+    return columns, weights
+
+
+def assert_merged(columns, weights, width):
+    """Check SparseRows.from_samples against SciPy: structure exactly, values to rounding."""
+    expected = by_scipy(columns, weights, width)
+    merged = SparseRows.from_samples(columns.copy(), weights.copy(), width)
+    assert merged.indices.dtype == columns.dtype
+    assert merged.data.dtype == np.float32
+    assert merged.indptr.dtype == np.int64
+    np.testing.assert_array_equal(merged.indptr, expected.indptr)
+    np.testing.assert_array_equal(merged.indices, expected.indices)
+    np.testing.assert_allclose(merged.data, expected.data, rtol=RTOL)
+    return merged
+
+
+class TestMerge:
+    @pytest.mark.parametrize("dtype", [np.uint16, np.uint32])
+    @pytest.mark.parametrize(
+        ("per_row", "width", "spread"),
+        [
+            (16, 640, 4),  # the usual case: many samples, few columns
+            (64, 640, 640),  # more than 32 different columns in a row
+            (100, 40, 33),
+            (1, 5, 5),
+            (7, 1, 1),  # one column
+        ],
+    )
+    def test_agrees_with_scipy(self, per_row, width, spread, dtype):
+        columns, weights = samples(257, per_row, width, dtype, seed=per_row, spread=spread)
+        merged = assert_merged(columns, weights, width)
+        if spread == 640:
+            assert np.diff(merged.indptr).max() > 32
+
+    def test_columns_beyond_16_bits(self):
+        columns, weights = samples(50, 20, 3_000_000, np.uint32, seed=1)
+        assert columns.max() > 1 << 16
+        assert_merged(columns, weights, 3_000_000)
+
+    def test_the_last_column_of_16_bits(self):
+        columns = np.array([[65535, 0, 65535]], np.uint16)
+        weights = np.array([[1.0, 2.0, 3.0]], np.float32)
+        merged = SparseRows.from_samples(columns, weights, 1 << 16)
+        assert merged.indices.tolist() == [0, 65535]
+        assert merged.data.tolist() == [2.0, 4.0]
+
+    def test_rows_of_zero_weight_are_empty(self):
+        columns, weights = samples(20, 8, 30, np.uint16, seed=2)
+        weights[::2] = 0.0
+        # What a missed sample leaves as its column means nothing.
+        columns[weights == 0.0] = 65535
+        merged = SparseRows.from_samples(columns, weights, 30)
+        counts = np.diff(merged.indptr)
+        assert np.all(counts[::2] == 0)
+        assert np.all(counts[1::2] > 0)
+        assert merged.indices.max() < 30
+
+    def test_nothing_at_all(self):
+        merged = SparseRows.from_samples(
+            np.zeros((4, 3), np.uint16), np.zeros((4, 3), np.float32), 10
+        )
+        assert merged.indptr.tolist() == [0] * 5
+        assert merged.tocsr().shape == (4, 10)
+
+    @given(
+        rows=st.integers(1, 40),
+        per_row=st.integers(1, 80),
+        width=st.integers(1, 200),
+        zeros=st.floats(0.0, 1.0),
+        seed=st.integers(0, 1000),
+    )
+    def test_any_samples(self, rows, per_row, width, zeros, seed):
+        assert_merged(*samples(rows, per_row, width, np.uint16, seed, zeros), width)
+
+    def test_concatenate_and_scale(self):
+        blocks = [
+            SparseRows.from_samples(*samples(n, 9, 60, np.uint16, seed=n), 60) for n in (5, 1, 30)
+        ]
+        stacked = scipy.sparse.vstack([block.tocsr() for block in blocks]).toarray()
+        whole = SparseRows.concatenate(blocks)
+        assert blocks == []  # given up on the way
+        np.testing.assert_array_equal(whole.tocsr().toarray(), stacked)
+        factors = np.linspace(0.5, 2.0, 36)
+        np.testing.assert_allclose(
+            whole.scaled(factors).tocsr().toarray(), stacked * factors[:, None], rtol=RTOL
+        )
+
+
+V, U, PANEL = 13, 21, (24, 10)
+
+
+@pytest.fixture
+def transport():
+    """All three marginals of the same random samples."""
+    rng = np.random.default_rng(3)
+    u = rng.integers(0, PANEL[0], (V * U, 40))
+    v = rng.integers(0, PANEL[1], (V * U, 40))
+    weights = rng.random((V * U, 40)).astype(np.float32) * (rng.random((V * U, 1)) > 0.2)
+    marginals = {
+        name: SparseRows.from_samples(columns.astype(dtype), weights.astype(np.float32), width)
+        for name, columns, dtype, width in (
+            ("u", u, np.uint16, PANEL[0]),
+            ("v", v, np.uint16, PANEL[1]),
+            ("uv", v * PANEL[0] + u, np.uint32, PANEL[0] * PANEL[1]),
+        )
+    }
+    ambient = rng.random((V, U)).astype(np.float32)
+    return LightTransport(marginals, ambient, PANEL, 40)  # type: ignore[arg-type]
+
+
+def dense(transport, name):
+    return transport.marginals[name].tocsr().toarray().astype(np.float64)
+
+
+class TestProducts:
+    def test_marginals_are_sums(self, transport):
+        full = dense(transport, "uv").reshape(V * U, PANEL[1], PANEL[0])
+        np.testing.assert_allclose(dense(transport, "u"), full.sum(axis=1), rtol=RTOL)
+        np.testing.assert_allclose(dense(transport, "v"), full.sum(axis=2), rtol=RTOL)
+
+    @pytest.mark.parametrize("axis", ["u", "v"])
+    @pytest.mark.parametrize("n", [1, 3, 36])
+    def test_relight_is_the_dense_product(self, transport, axis, n):
+        profiles = np.random.default_rng(n).random((n, PANEL["uv".index(axis)]))
+        images = transport.relight(profiles, axis)
+        assert images.shape == (n, V, U)
+        assert images.dtype == np.float32
+        expected = (dense(transport, axis) @ profiles.T).T.reshape(n, V, U) + transport.ambient
+        np.testing.assert_allclose(images, expected, rtol=RTOL)
+
+    def test_relight_images_is_the_dense_product(self, transport):
+        panels = np.random.default_rng(9).random((5, PANEL[1], PANEL[0]))
+        expected = (dense(transport, "uv") @ panels.reshape(5, -1).T).T.reshape(5, V, U)
+        images = transport.relight_images(panels)
+        np.testing.assert_allclose(images, expected + transport.ambient, rtol=RTOL)
+
+    def test_light_is_linear(self, transport):
+        rng = np.random.default_rng(4)
+        a, b = rng.random((2, 1, PANEL[0]))
+        lit = transport.relight
+        left = lit(0.3 * a + 0.7 * b)
+        np.testing.assert_allclose(left, 0.3 * lit(a) + 0.7 * lit(b), rtol=2 * RTOL)
+        dark = lit(np.zeros((1, PANEL[0])))
+        np.testing.assert_array_equal(dark[0], transport.ambient)
+
+    def test_one_lit_pixel_is_one_column(self, transport):
+        """Row-major: panel pixel (u, v) is column v W + u."""
+        panel = np.zeros((1, PANEL[1], PANEL[0]))
+        panel[0, 7, 19] = 1.0
+        column = dense(transport, "uv")[:, 7 * PANEL[0] + 19].reshape(V, U)
+        seen = transport.relight_images(panel)[0] - transport.ambient
+        np.testing.assert_allclose(seen, column, atol=1e-6)
+        assert column.any()
+
+    def test_white(self, transport):
+        expected = dense(transport, "u").sum(axis=1).reshape(V, U) + transport.ambient
+        np.testing.assert_allclose(transport.white(), expected, rtol=RTOL)
+        only_v = replace(transport, marginals={"v": transport.marginals["v"]})
+        np.testing.assert_allclose(only_v.white(), expected, rtol=RTOL)
+
+    @given(seed=st.integers(0, 1000))
+    def test_the_view_from_the_projector_is_the_adjoint(self, seed):
+        rng = np.random.default_rng(seed)
+        rows = SparseRows.from_samples(*samples(V * U, 12, 240, np.uint16, seed), 240)
+        value = LightTransport({"uv": rows}, np.zeros((V, U), np.float32), PANEL, 12)
+        panel, image = rng.random((PANEL[1], PANEL[0])), rng.random((V, U))
+        back = value.view_from_projector(image)
+        assert back.shape == (PANEL[1], PANEL[0])
+        ahead = np.sum(value.relight_images(panel[None])[0].astype(np.float64) * image)
+        assert ahead == pytest.approx(np.sum(back * panel), rel=RTOL)
+
+    def test_batches_cover_all_frames_within_the_budget(self, transport):
+        image = 4 * V * U
+        for frames, budget in ((36, 10 * image), (36, 1), (7, 1 << 28), (1, image)):
+            parts = list(transport.batches(frames, budget))
+            covered = [k for part in parts for k in range(frames)[part]]
+            assert covered == list(range(frames))
+            longest = max(part.stop - part.start for part in parts)
+            assert longest == max(1, min(frames, budget // image))
+
+
+class TestBadInput:
+    def test_shapes(self, transport):
+        with pytest.raises(InputError, match=r"panel profiles: expected shape \(n, 24\)"):
+            transport.relight(np.ones((2, 23)))
+        with pytest.raises(InputError, match=r"panel profiles: expected shape \(n, 10\)"):
+            transport.relight(np.ones((2, 24)), "v")
+        with pytest.raises(InputError, match="panel profiles"):
+            transport.relight(np.ones(24))
+        with pytest.raises(InputError, match=r"panel images: expected shape \(n, 10, 24\)"):
+            transport.relight_images(np.ones((1, 24, 10)))
+        with pytest.raises(InputError, match=r"camera image: expected shape \(13, 21\)"):
+            transport.view_from_projector(np.ones((21, 13)))
+
+    def test_a_marginal_that_was_not_traced(self, transport):
+        only = replace(transport, marginals={"u": transport.marginals["u"]})
+        with pytest.raises(InputError, match="light transport: expected the 'v' marginal, got u"):
+            only.relight(np.ones((1, 10)), "v")
+        with pytest.raises(InputError, match="the 'uv' marginal"):
+            only.relight_images(np.ones((1, 10, 24)))
+        with pytest.raises(InputError, match="the 'uv' marginal"):
+            only.view_from_projector(np.ones((V, U)))
+
+
+class TestFile:
+    @pytest.mark.parametrize("names", [("u",), ("v", "uv"), ("u", "v", "uv")])
+    def test_round_trip_keeps_every_byte(self, transport, names, tmp_path):
+        kept = replace(transport, marginals={n: transport.marginals[n] for n in names})
+        kept.save(tmp_path / "transport.npz")
+        back = LightTransport.load(tmp_path / "transport.npz")
+        assert (back.panel, back.samples, back.shape) == (PANEL, 40, (V, U))
+        assert back.ambient.tobytes() == kept.ambient.tobytes()
+        assert set(back.marginals) == set(names)
+        for name in names:
+            one, two = kept.marginals[name], back.marginals[name]  # type: ignore[index]
+            assert one.width == two.width
+            for part in ("indptr", "indices", "data"):
+                first, second = getattr(one, part), getattr(two, part)
+                assert first.dtype == second.dtype
+                assert first.tobytes() == second.tobytes()
+
+    def test_no_pickles(self, transport, tmp_path):
+        transport.save(tmp_path / "transport.npz")
+        with np.load(tmp_path / "transport.npz", allow_pickle=False) as archive:
+            assert {archive[name].dtype.kind for name in archive.files} <= set("uif")
+
+    @pytest.mark.parametrize("keep", [0.0, 0.3, 0.9, 0.999])
+    def test_truncated(self, transport, keep, tmp_path):
+        path = tmp_path / "transport.npz"
+        transport.save(path)
+        path.write_bytes(path.read_bytes()[: int(keep * path.stat().st_size)])
+        with pytest.raises(InputError) as caught:
+            LightTransport.load(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    def test_damaged(self, transport, tmp_path):
+        path = tmp_path / "transport.npz"
+        transport.save(path)
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 0xFF  # the archive has checksums
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=r"transport\.npz"):
+            LightTransport.load(path)
+
+    def test_missing(self, tmp_path):
+        with pytest.raises(InputError, match=r"nowhere\.npz"):
+            LightTransport.load(tmp_path / "nowhere.npz")
+
+    @pytest.mark.parametrize(
+        ("change", "where"),
+        [
+            ({"format": None}, "format"),
+            ({"format": np.array(99)}, "format"),
+            ({"format": np.array([1, 1])}, "format"),
+            ({"panel": None}, "panel"),
+            ({"panel": np.array([24])}, "panel"),
+            ({"panel": np.array([24, 10, 3])}, "panel"),
+            ({"panel": np.array([-24, 10])}, "panel"),
+            ({"samples": None}, "samples"),
+            ({"samples": np.array("many")}, "samples"),
+            ({"samples": np.array([])}, "samples"),
+            ({"ambient": None}, "ambient"),
+            ({"ambient": np.zeros(V * U, np.float32)}, "ambient"),
+            ({"ambient": np.zeros((V, U + 1), np.float32)}, "u"),
+            ({"u_indices": None}, "u"),
+            ({"u_data": None}, "u"),
+            ({"u_counts": np.zeros(V * U, np.uint32)}, "u"),
+            ({"u_counts": np.zeros(3, np.uint32)}, "u"),
+            ({"u_counts": np.array(["a"] * V * U)}, "u"),
+            ({"u_data": np.zeros(5, np.float32)}, "u"),
+            ({"u_indices": lambda x: x + 24}, "u"),
+            ({"u_indices": lambda x: x.astype(np.int16) - 5}, "u"),
+            ({"u_indices": lambda x: x.astype(np.float32)}, "u"),
+            ({"u_data": lambda x: x * np.nan}, "u"),
+            ({"u_data": lambda x: x[:, None]}, "u"),
+            ({"u_counts": None, "v_counts": None, "uv_counts": None}, "marginals"),
+        ],
+    )
+    def test_inconsistent(self, transport, change, where, tmp_path):
+        """Every one of these would crash the product, or worse, read outside its arrays."""
+        path = tmp_path / "transport.npz"
+        transport.save(path)
+        with np.load(path) as archive:
+            arrays = dict(archive)
+        for name, value in change.items():
+            arrays[name] = value(arrays[name]) if callable(value) else value
+        np.savez(path, **{k: v for k, v in arrays.items() if v is not None})
+        with pytest.raises(InputError) as caught:
+            LightTransport.load(path)
+        line = str(caught.value)
+        assert "\n" not in line
+        assert str(path) in line
+        assert where in line.removeprefix(str(path))
