@@ -4,7 +4,7 @@
 #   make test      lint, types, and the tests that take less than about ten seconds each
 #   make test-all  the slow tests too
 #   make bench     timings only (tests/benchmarks)
-#   make lint      ruff and mypy
+#   make lint      ruff, mypy, and who may import whom
 #   make docs      the documentation as a website, into out/docs
 #   make clean     remove everything that make has made, the environment included
 #
@@ -41,6 +41,7 @@ lint: $(TEST_STAMP)
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
 
 # Warnings are errors: a broken link, reference or formula fails the build.
 docs: $(DOCS_STAMP)

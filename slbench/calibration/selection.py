@@ -33,7 +33,7 @@ from threadpoolctl import threadpool_limits
 
 from slbench.calibration.models.domain import Domain
 from slbench.calibration.models.model import COORDINATES, CalibrationModel, CoordinateModel
-from slbench.calibration.models.multivariate import JointFit, joint_irls
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import (
     FORMS,
     Axes,
@@ -43,7 +43,7 @@ from slbench.calibration.models.polynomials import (
     count_different,
     polynomial_form,
 )
-from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.multivariate import JointFit, joint_irls
 from slbench.calibration.robust import (
     Loss,
     check_options,
@@ -261,7 +261,7 @@ def select_models(
     forms : sequence of str
         Candidates.
     multivariate : bool
-        Fit the coordinates together (:mod:`~slbench.calibration.models.multivariate`): candidates
+        Fit the coordinates together (:mod:`~slbench.calibration.multivariate`): candidates
         with the same form in all, then the selected ones jointly.
     validation : float
         Share of the points kept for validation.

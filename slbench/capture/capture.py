@@ -1,7 +1,6 @@
-"""Frames: exposed from light transport, or read from a folder of photographs.
+"""Frames and what was projected; a folder of photographs.
 
-``transport x patterns x detector -> frames``: every frame is a sparse product and a noise
-draw.  A :class:`Capture` holds the frames and what was projected; a folder holds them as PNG
+A :class:`Capture` holds the frames and what was projected; a folder holds them as PNG
 beside ``capture.toml``, and the same manifest describes real photographs::
 
     format = 1
@@ -24,43 +23,30 @@ beside ``capture.toml``, and the same manifest describes real photographs::
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_grey, read_toml, write_png, write_toml
-from slbench.detector.emva1288 import (
-    BIT_DEPTHS,
-    auto_exposure_scale,
-    expose,
-    noise_model,
-    photons_from_irradiance,
-)
 from slbench.patterns import (
     MIN_MODULATION_DN,
-    Axis,
     NoiseModel,
     PatternSequence,
     PhaseMap,
     decode,
-    panel_response,
 )
 from slbench.rig import Rig
 from slbench.rig.opencv import read_rig, write_rig
-from slbench.scene.model import Scene
-from slbench.simulate.transport import LightTransport
 
 MANIFEST = "capture.toml"
+#: Bits of a digital number that cameras have.
+BIT_DEPTHS = (8, 10, 12, 14, 16)
 _FORMAT = 1
-#: Memory for noise-free frames at a time.
-_FLOOR_BYTES = 1 << 27
 _KEYS = {
     "format",
     "bit_depth",
@@ -72,10 +58,6 @@ _KEYS = {
     "noise",
     "exposure_ms",
 }
-
-#: Exposure time that the dark signal is computed with where the light's power is unknown (a
-#: pinhole camera, automatic exposure).
-NOMINAL_EXPOSURE_S = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,155 +255,3 @@ def _read_frames(folder: Path, names: Any) -> NDArray[Any]:
         frames[k] = image
     assert frames is not None  # names is not empty
     return frames
-
-
-def capture(
-    scene: Scene,
-    transport: LightTransport,
-    *,
-    seed: int = 0,
-    noise: bool = True,
-    light: tuple[float, float] | None = None,
-    on_progress: Callable[[float], None] | None = None,
-) -> Capture:
-    """Expose the frames of a scene's patterns.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its sequence, projector, detector and exposure; the light comes from `transport`.
-    transport : LightTransport
-        With the marginals of the axes that the sequence codes.
-    seed : int
-        Of temporal noise and vibration.  The fixed pattern has the detector's own seed.
-    noise : bool
-        False: the expected frames, rounded once, without vibration.
-    light : (float, float), optional
-        Photons per unit radiance and exposure time, where another transport of the scene sets
-        them (:func:`exposure`).
-    on_progress : callable, optional
-        Called with the finished fraction.
-
-    Returns
-    -------
-    Capture
-    """
-    sequence = scene.sequence
-    factor, exposure_s = exposure(scene, transport) if light is None else light
-    shape = (sequence.n_frames, *transport.shape)
-    dtype = np.uint8 if scene.detector.bit_depth == 8 else np.uint16
-    frames = np.empty(shape, dtype)
-    rng = np.random.default_rng([seed, 1])
-    shake = np.random.default_rng([seed, 2]) if noise else None
-    done = 0
-    for indices, radiance in radiance_batches(scene, transport):
-        if shake is not None and scene.exposure.vibration_px > 0:
-            _vibrate(radiance, scene.exposure.vibration_px, shake)
-        frames[indices] = expose(scene.detector, radiance, exposure_s, rng, noise, factor)
-        done += len(indices)
-        if on_progress:
-            on_progress(done / len(frames))
-    return Capture(
-        frames,
-        sequence,
-        scene.detector.bit_depth,
-        noise_model(scene.detector) if noise else NoiseModel(offset_dn=scene.detector.black_dn),
-        scene.rig,
-        exposure_s,
-        scene.detector.saturation_dn,
-    )
-
-
-def radiance_batches(
-    scene: Scene, transport: LightTransport
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
-    """Yield frame indices and their radiance images, a bounded number at a time."""
-    projector = scene.rig.projector
-    for axis in scene.sequence.axes or ("u",):
-        indices, profiles = scene.sequence.profiles(axis)
-        panel = panel_response(profiles, projector.bit_depth, projector.gamma)
-        for part in transport.batches(len(indices)):
-            yield indices[part], transport.relight(panel[part], axis)
-
-
-def noise_free_coordinates(scene: Scene, transport: LightTransport) -> dict[Axis, NDArray]:
-    """Decode the radiance itself, before the detector: the renderer's own error floor.
-
-    What is left is not noise but geometry and sampling: the projector's square pixels, the
-    pixel's footprint, and the Monte Carlo error of the light transport.
-
-    Returns
-    -------
-    dict of axis to (V, U) float
-        Panel coordinates, NaN where the modulation is below 1/200 of full white.
-    """
-    scale = np.float32(200.0 / max(float(np.percentile(transport.white(), 99.0)), 1e-30))
-    height, width = transport.shape
-    rows = max(1, _FLOOR_BYTES // (4 * width * scene.sequence.n_frames))
-    bands: list[dict[Axis, NDArray]] = []
-    for first in range(0, height, rows):
-        band = transport.band(slice(first, first + rows))
-        stack = np.empty((scene.sequence.n_frames, *band.shape), np.float32)
-        for indices, radiance in radiance_batches(scene, band):
-            stack[indices] = radiance * scale
-        exact = NoiseModel(step_dn=0.0)
-        bands.append(decode(stack, scene.sequence, noise=exact, min_modulation=1.0).coordinate)
-    return {axis: np.concatenate([band[axis] for band in bands]) for axis in bands[0]}
-
-
-def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
-    """Return photons per unit radiance, and the exposure time in seconds.
-
-    An automatic exposure scales the light until the fully lit picture reaches the wanted
-    level; where the camera has an aperture this is expressed as an exposure time.
-
-    Raises
-    ------
-    InputError
-        For an absolute exposure through a pinhole, or where the projector lights nothing.
-    """
-    camera, detector, time = scene.rig.camera, scene.detector, scene.exposure.time_s
-    per_second = None
-    if time is not None or np.isfinite(camera.lens.f_number):
-        # Photons per second and unit scene radiance; a pinhole has none, and says so.
-        area = camera.pitch_mm[0] * camera.pitch_mm[1]
-        irradiance = camera.etendue_mm2_sr / area
-        photons = photons_from_irradiance(irradiance, 1.0, area, detector.wavelength_nm)
-        per_second = float(photons)
-        if time is not None:
-            return per_second * time, time
-    white = transport.white().astype(np.float64)
-    lit = white > transport.ambient
-    if not np.any(lit):
-        raise InputError(f"scene {scene.name}", "an object that the projector lights", "none")
-    factor = auto_exposure_scale(detector, white[lit], scene.exposure.white_level)
-    return factor, (factor / per_second if per_second else NOMINAL_EXPOSURE_S)
-
-
-def _vibrate(frames: NDArray[np.float32], sigma_px: float, rng: np.random.Generator) -> None:
-    """Shift each frame by a random sub-pixel amount, in place (edges repeat)."""
-    for frame, (du, dv) in zip(frames, rng.normal(0.0, sigma_px, (len(frames), 2)), strict=True):
-        shifted = cv2.sepFilter2D(
-            frame, -1, _shift_kernel(du), _shift_kernel(dv), borderType=cv2.BORDER_REPLICATE
-        )
-        # Interpolation overshoots at edges; light is not negative.
-        np.maximum(shifted, 0.0, out=frame)
-
-
-def _shift_kernel(shift: float) -> NDArray[np.float64]:
-    """Return the correlation kernel that moves a line of pixels by `shift`.
-
-    Lagrange interpolation through six samples: exact for polynomials of degree five, and good
-    to 0.2 % of the shift for fringes of ten pixels.  (OpenCV's own bicubic warp moves even a
-    ramp by half as much again where the shift is small.)
-    """
-    whole = int(np.floor(-shift))
-    nodes = np.arange(-2, 4)
-    differences = nodes[:, None] - nodes
-    np.fill_diagonal(differences, 1)
-    steps = np.broadcast_to(-shift - whole - nodes, differences.shape).copy()
-    np.fill_diagonal(steps, 1.0)
-    reach = abs(whole) + 3
-    kernel = np.zeros(2 * reach + 1)
-    kernel[nodes + whole + reach] = np.prod(steps / differences, axis=1)
-    return kernel

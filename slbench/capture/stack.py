@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from slbench.capture.capture import MANIFEST as CAPTURE_MANIFEST
 from slbench.capture.capture import Capture
+from slbench.capture.focus import Focus
 from slbench.capture.fusion import Alignment, FusionWeights, selective_weights
 from slbench.capture.fusion.measures import check_window
 from slbench.core import resources
@@ -35,7 +36,6 @@ from slbench.patterns import (
     PhaseMap,
     relative_phase,
 )
-from slbench.scene.model import Focus
 
 Array = NDArray[np.float64]
 WeightSource = Literal["lit", "modulation"]

@@ -14,7 +14,7 @@ from slbench.cli.common import Json, Seed, check_folder, print_json, print_table
 from slbench.core.errors import InputError
 
 if TYPE_CHECKING:
-    from slbench.report import Page
+    from slbench.core.document import Page
     from slbench.thesis.outcome import Outcome
 
 EXAMPLE = "slbench bench ch7 --preview --out out/bench --report out/bench/ch7.html"
@@ -101,7 +101,7 @@ def _named(bar: Any, chapter: str) -> Any:
 
 def _page(outcomes: list[Outcome]) -> Page:
     """Return the report of one chapter, or of several in one."""
-    from slbench.report import Page
+    from slbench.core.document import Page
 
     pages = [outcome.page() for outcome in outcomes]
     if len(pages) == 1:

@@ -43,7 +43,7 @@ def fit(
     as_json: Json = False,
 ) -> None:
     """Fit the models of every world coordinate robustly and choose by cross-validation."""
-    from slbench.calibration.points import CalibrationPoints
+    from slbench.calibration.models.points import CalibrationPoints
     from slbench.calibration.selection import select_models
     from slbench.report.page import check_page_path, write_page
     from slbench.report.pages.calibration import calibration_page

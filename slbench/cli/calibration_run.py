@@ -63,7 +63,7 @@ def run(
     """Render the calibration experiment, from dots on a stage to a chosen model."""
     import numpy as np
 
-    from slbench.calibration.models.baselines import compare_methods
+    from slbench.calibration.baselines import compare_methods
     from slbench.calibration.selection import forms_for, select_models
     from slbench.report.page import check_page_path, write_page
     from slbench.report.pages.calibration import calibration_page

@@ -57,9 +57,9 @@ def compare(
 ) -> None:
     """Compare pattern sets on a scene: repeated scans in the same light."""
     from slbench.bench.compare.compare import compare as run
-    from slbench.bench.compare.compare import comparison_page, own_shifts, write_comparison
+    from slbench.bench.compare.compare import own_shifts
     from slbench.bench.compare.sets import pattern_sets
-    from slbench.report.pages.compare import verdict
+    from slbench.report.pages.compare import comparison_page, verdict, write_comparison
     from slbench.scene.file import load_scene
 
     if equal not in (None, "frames", "photons"):

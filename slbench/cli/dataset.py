@@ -150,7 +150,7 @@ def _span(seconds: float) -> str:
 @app.command(epilog="Example: slbench dataset verify data")
 def verify(dataset: DatasetName, as_json: Json = False) -> None:
     """Check every checksum, count and file of a data set."""
-    from slbench.datasets.store.verify import verify_dataset
+    from slbench.datasets.verify import verify_dataset
 
     with progress(as_json) as report:
         tell = None if report is None else lambda done: report("verify", done)
@@ -174,7 +174,7 @@ def info(dataset: DatasetName, as_json: Json = False) -> None:
     """Say what a data set holds."""
     from rich.table import Table
 
-    from slbench.datasets.store.verify import information
+    from slbench.datasets.verify import information
 
     found = information(dataset)
     if as_json:

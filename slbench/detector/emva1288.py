@@ -26,6 +26,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.capture.capture import BIT_DEPTHS
 from slbench.core.errors import InputError
 from slbench.patterns import NoiseModel
 
@@ -34,7 +35,6 @@ FrameArray = NDArray[np.uint8] | NDArray[np.uint16]
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_PER_S = 299792458.0
-BIT_DEPTHS = (8, 10, 12, 14, 16)
 
 # From this read noise on it hides that electrons are whole, and one draw (`_quantile`) serves shot
 # and read noise; below, each has its own.

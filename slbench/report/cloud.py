@@ -20,7 +20,7 @@ from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.report.parts import Cloud, Picture
+from slbench.core.document import Cloud, Picture
 
 Array = NDArray[np.float64]
 

@@ -24,11 +24,11 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from slbench.core.document import Cloud, Page, Part, Picture, Table, Text, shown
 from slbench.core.errors import InputError
 from slbench.core.io import plain
 from slbench.core.io.atomic import write_bytes
 from slbench.report.cloud import cloud_view
-from slbench.report.parts import Cloud, Page, Part, Picture, Table, Text, shown
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|inf)(e[+-]?\d+)?")

@@ -11,10 +11,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from slbench.capture.focus import MAX_SETTINGS, Focus
 from slbench.core.validation import Finite, Parameters
 from slbench.detector.emva1288 import Detector
 from slbench.rig import Lens, Rig
-from slbench.scene.model import MAX_SETTINGS, Focus
 
 Positive = Annotated[float, Field(ge=1e-9, le=1e9, allow_inf_nan=False)]
 Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.cloud.triangulation import PointCloud
+from slbench.core.drawing import write_figure
 from slbench.core.io import atomic_folder, write_json, write_ply, write_provenance
 from slbench.objects import Mesh
-from slbench.report.plots.scan import summary
 from slbench.scene.truth import GroundTruth
 from slbench.score.points import point_errors
 from slbench.simulate.fusionscore import all_in_focus
@@ -41,7 +41,7 @@ def write_scan(result: Scan, folder: str | Path) -> list[Path]:
         if len(result.cloud):
             write_cloud(temporary / "cloud.ply", result.cloud, result.truth)
         write_json(temporary / "score.json", result.to_dict())
-        summary(result, temporary / "summary.png")
+        write_figure(result, temporary / "summary.png")
         write_provenance(temporary, scan_parameters(result), result.seed)
         names = [entry.name for entry in sorted(temporary.iterdir())]
     return [Path(folder) / name for name in names]

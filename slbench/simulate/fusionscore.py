@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.capture.capture import Capture, capture, exposure, radiance_batches
+from slbench.capture.capture import Capture
 from slbench.capture.fusion import maximum_weights, pyramid_selection, selective_weights
 from slbench.capture.stack import FocusStack, FusedCapture, modulation_weights
 from slbench.core.errors import InputError
@@ -23,6 +23,7 @@ from slbench.detector.emva1288 import expected_dn
 from slbench.patterns import Fringes, relative_phase
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
+from slbench.simulate.expose import capture, exposure, radiance_batches
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]

@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench import objects
-from slbench.capture.capture import capture, exposure, radiance_batches
 from slbench.capture.stack import WeightSource
 from slbench.detector.emva1288 import expose
 from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
 from slbench.rig import Pose
 from slbench.scene.model import Scene, SceneObject
+from slbench.simulate.expose import capture, exposure, radiance_batches
 from slbench.simulate.scan import capture_stack
 from slbench.simulate.transport import LightTransport
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.capture.capture import Capture, capture, exposure, noise_free_coordinates
+from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack, FusedCapture, WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
 from slbench.core.errors import InputError
@@ -23,6 +23,7 @@ from slbench.patterns import Flat, PatternSequence, PhaseMap
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.points import Score, score
+from slbench.simulate.expose import capture, exposure, noise_free_coordinates
 from slbench.simulate.fusionscore import FusionScore, score_fusion
 from slbench.simulate.transport import LightTransport
 

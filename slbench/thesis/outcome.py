@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from slbench.core.document import Cloud, Page, Part, Picture, Table
 from slbench.core.io import atomic_folder, provenance, write_json
 from slbench.core.io.atomic import write_bytes
-from slbench.report import Cloud, Page, Part, Picture, Table
 
 Verdict = Literal["reproduced", "in part", "not reproduced"]
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.spatial import KDTree
 
-from slbench.report import Picture
+from slbench.core.document import Picture
 
 Array = NDArray[np.float64]
 

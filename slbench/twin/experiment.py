@@ -18,16 +18,17 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.target.detect import Dots, detect_dots
 from slbench.calibration.target.indexing import index_grid
 from slbench.calibration.target.remap import remap
-from slbench.capture.capture import Capture, capture
+from slbench.capture.capture import Capture
 from slbench.capture.stack import WeightSource
 from slbench.core.errors import InputError
 from slbench.patterns import Axis, Flat, PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene
+from slbench.simulate.expose import capture
 from slbench.simulate.scan import capture_stack, with_lit_frame
 
 Array = NDArray[np.float64]

@@ -10,8 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.calibration.models.baselines import Comparison
-from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.baselines import Comparison
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.scales import GROSS
 from slbench.calibration.selection import Selection
 from slbench.core.io import atomic_folder, atomic_path, write_json, write_provenance, write_table

@@ -12,13 +12,13 @@ import pytest
 import tomli_w
 
 from slbench import datasets
-from slbench.capture.capture import capture
+from slbench.datasets.manifest import Manifest
 from slbench.datasets.store import index, shards
-from slbench.datasets.store.manifest import Manifest
 from slbench.datasets.store.sample import RIG, SCENE, TRANSPORT, TRUTH, from_folder, write_transport
 from slbench.datasets.store.storage import Storage
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene
+from slbench.simulate.expose import capture
 from slbench.simulate.render.groundtruth import ground_truth
 from slbench.simulate.render.trace import trace
 

@@ -8,8 +8,8 @@ from scipy.stats import chi, chi2
 from sklearn.base import clone
 from sklearn.model_selection import cross_val_score
 
-from slbench.calibration.models.multivariate import CHI2_MEDIAN_3D, TUNING_3D, joint_irls
 from slbench.calibration.models.polynomials import Basis, polynomial_form
+from slbench.calibration.multivariate import CHI2_MEDIAN_3D, TUNING_3D, joint_irls
 from slbench.calibration.robust import (
     CAUCHY_TUNING,
     RobustPolynomial,

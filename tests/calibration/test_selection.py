@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from calibration_data import polynomial_data, rig_points
 
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import FORMS, Standardisation, polynomial_form
-from slbench.calibration.points import CalibrationPoints
 from slbench.calibration.robust import RobustPolynomial
 from slbench.calibration.selection import (
     forms_for,

@@ -13,7 +13,7 @@ import pytest
 import tomli_w
 
 from slbench import objects
-from slbench.capture.capture import Capture, _vibrate, capture, exposure, noise_free_coordinates
+from slbench.capture.capture import Capture
 from slbench.cloud.triangulation import triangulate
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml, write_png, write_toml
@@ -22,6 +22,7 @@ from slbench.patterns import NoiseModel, PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
 from slbench.rig.opencv import write_rig
 from slbench.scene.model import Exposure, Scene, SceneObject
+from slbench.simulate.expose import _vibrate, capture, exposure, noise_free_coordinates
 from slbench.simulate.transport import LightTransport, SparseRows
 
 SHAPE = (48, 64)  # camera rows, columns
@@ -98,7 +99,7 @@ def test_noise_free_coordinates_are_exact(axes):
 
 def test_noise_free_coordinates_do_not_depend_on_the_bands(monkeypatch):
     whole = noise_free_coordinates(scene(axes="uv"), transport())
-    monkeypatch.setattr("slbench.capture.capture._FLOOR_BYTES", 5 * 4 * SHAPE[1] * 18)
+    monkeypatch.setattr("slbench.simulate.expose._FLOOR_BYTES", 5 * 4 * SHAPE[1] * 18)
     banded = noise_free_coordinates(scene(axes="uv"), transport())
     for axis in "uv":
         np.testing.assert_array_equal(whole[axis], banded[axis])

@@ -8,7 +8,8 @@ from scenes_small import scene_of
 from scipy.spatial.transform import Rotation
 
 from slbench import objects
-from slbench.capture.capture import Capture, exposure
+from slbench.capture.capture import Capture
+from slbench.capture.focus import Focus
 from slbench.capture.fusion import pyramid_selection
 from slbench.capture.stack import FocusStack, modulation_weights
 from slbench.core.errors import InputError
@@ -17,7 +18,8 @@ from slbench.patterns import Flat, Fringes, NoiseModel, PatternSequence, relativ
 from slbench.rig import Pose
 from slbench.scene.file import load_scene
 from slbench.scene.materials import PRESETS
-from slbench.scene.model import Focus, SceneObject
+from slbench.scene.model import SceneObject
+from slbench.simulate.expose import exposure
 from slbench.simulate.folder import write_scan
 from slbench.simulate.fusionscore import compare_fusions
 from slbench.simulate.render.groundtruth import ground_truth

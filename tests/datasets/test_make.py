@@ -15,22 +15,23 @@ import pytest
 from dataset_specs import hashes, rows_of, write_spec
 from scenes_small import small, transport_of, truth_of
 
-from slbench.capture.capture import Capture, noise_free_coordinates
+from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.datasets.make import tasks
 from slbench.datasets.make.cluster import LostError, local_cluster
 from slbench.datasets.make.engine import _running, check_request, make_dataset
 from slbench.datasets.make.sample_maker import environment, make_sample, row_of
+from slbench.datasets.manifest import Manifest
 from slbench.datasets.read.reader import open_dataset
 from slbench.datasets.spec.sampling import draw
 from slbench.datasets.spec.specification import load
 from slbench.datasets.store import index
-from slbench.datasets.store.manifest import Manifest
 from slbench.datasets.store.sample import EXACT_BITS, rounded, unpacked, write_transport
 from slbench.datasets.store.shards import END, digest, key, pack, unpack
 from slbench.datasets.store.storage import Storage, is_temporary
-from slbench.datasets.store.verify import information, verify_dataset
+from slbench.datasets.verify import information, verify_dataset
 from slbench.scene.file import load_scene
+from slbench.simulate.expose import noise_free_coordinates
 from slbench.simulate.scan import floor_rms_px, scan
 from slbench.simulate.transport import LightTransport
 

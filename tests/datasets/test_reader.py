@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 
 from slbench import datasets
-from slbench.capture.capture import capture
 from slbench.core.errors import InputError
 from slbench.datasets.store.storage import Storage
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
 from slbench.scene.model import Exposure
+from slbench.simulate.expose import capture
 from slbench.simulate.scan import scan
 
 READY = [n for n in range(small.COUNT) if n != small.FAILED]
@@ -320,8 +320,8 @@ class TestDamage:
         ids=str,
     )
     def test_an_index_that_points_elsewhere(self, copy, change):
+        from slbench.datasets.manifest import Manifest
         from slbench.datasets.store import index
-        from slbench.datasets.store.manifest import Manifest
 
         storage = Storage(str(copy))
         rows = index.decode(storage.read(index.INDEX), "index")

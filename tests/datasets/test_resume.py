@@ -18,7 +18,7 @@ from slbench.core.errors import InputError
 from slbench.datasets.make.cluster import existing_cluster, local_cluster
 from slbench.datasets.make.engine import make_dataset
 from slbench.datasets.spec.specification import load
-from slbench.datasets.store.verify import verify_dataset
+from slbench.datasets.verify import verify_dataset
 
 pytestmark = pytest.mark.slow
 

@@ -4,8 +4,8 @@ import functools
 
 import numpy as np
 
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import polynomial_form
-from slbench.calibration.points import CalibrationPoints
 from slbench.rig import Rig
 from slbench.scene.file import load_scene
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import tomli_w
 
+from slbench.datasets.manifest import MANIFEST, Manifest
 from slbench.datasets.store import index, sample, shards
-from slbench.datasets.store.manifest import MANIFEST, Manifest
 from slbench.datasets.store.storage import Storage
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import extended, load_scene

@@ -9,9 +9,9 @@ from calibration_data import grid_points, rig_of
 from report_pages import Document, unpacked
 from scenes_small import check_refused, run_cli, small, write_scene
 
-from slbench.calibration.models.baselines import compare_methods
+from slbench.calibration.baselines import compare_methods
 from slbench.calibration.selection import select_models
-from slbench.report import Cloud, Picture, Table
+from slbench.core.document import Cloud, Picture, Table
 from slbench.report.cloud import cloud_view
 from slbench.report.page import render_page
 from slbench.report.pages.calibration import calibration_page

@@ -9,7 +9,7 @@ from calibration_data import rig_points
 from scenes_small import check_refused, run_cli
 
 from slbench.calibration.models.model import CalibrationModel
-from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.twin.experiment import Experiment
 
 FILES = {

@@ -34,7 +34,7 @@ def ok(*arguments):
 def no_picture(monkeypatch):
     """Do not draw the summary, which takes longer than a small scan."""
     monkeypatch.setattr(
-        "slbench.simulate.folder.summary", lambda _, path: path.write_bytes(b"picture")
+        "slbench.simulate.folder.write_figure", lambda _, path: path.write_bytes(b"picture")
     )
 
 

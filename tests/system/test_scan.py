@@ -10,7 +10,6 @@ from scenes_small import at, scene_of, small, transport_of, truth_of
 from scipy.spatial import ConvexHull
 
 from slbench import objects
-from slbench.capture.capture import capture, noise_free_coordinates
 from slbench.core.errors import InputError
 from slbench.core.io import read_json, read_ply
 from slbench.detector.emva1288 import Detector
@@ -22,6 +21,7 @@ from slbench.scene.materials import Material
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 from slbench.scene.truth import GroundTruth, Status
 from slbench.score.points import point_errors
+from slbench.simulate.expose import capture, noise_free_coordinates
 from slbench.simulate.folder import write_scan
 from slbench.simulate.render.trace import trace
 from slbench.simulate.scan import floor_rms_px, scan
@@ -382,7 +382,7 @@ def test_samples_override_the_scene():
 def test_files_hold_the_result(tmp_path, monkeypatch):
     # The picture takes longer than the scan; test_cli looks at it.
     monkeypatch.setattr(
-        "slbench.simulate.folder.summary", lambda _, path: path.write_bytes(b"picture")
+        "slbench.simulate.folder.write_figure", lambda _, path: path.write_bytes(b"picture")
     )
     result = scanned("step-block")
     folder = tmp_path / "deep" / "out"
@@ -412,7 +412,7 @@ def test_files_hold_the_result(tmp_path, monkeypatch):
 def test_a_failing_write_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
     result = scanned("plane")
     monkeypatch.setattr(
-        "slbench.simulate.folder.summary", lambda _, path: path.write_bytes(b"picture")
+        "slbench.simulate.folder.write_figure", lambda _, path: path.write_bytes(b"picture")
     )
     write_scan(result, tmp_path / "out")
     before = (tmp_path / "out" / "cloud.ply").read_bytes()
@@ -420,7 +420,7 @@ def test_a_failing_write_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
     def fail(*_):
         raise InputError("figure", "paper", "none")
 
-    monkeypatch.setattr("slbench.simulate.folder.summary", fail)
+    monkeypatch.setattr("slbench.simulate.folder.write_figure", fail)
     for name in ("out", "new"):
         with pytest.raises(InputError):
             write_scan(scanned("plane", noise=False), tmp_path / name)

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from scenes_small import small, transport_of, truth_of
 
-from slbench.capture.capture import capture, noise_free_coordinates
 from slbench.cloud.triangulation import triangulate
 from slbench.detector.emva1288 import Detector
+from slbench.simulate.expose import capture, noise_free_coordinates
 from slbench.simulate.scan import floor_rms_px
 
 REPEATS = 24

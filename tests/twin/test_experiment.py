@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from slbench.calibration.selection import select_models
+from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
 from slbench.scene.file import load_scene
-from slbench.scene.model import Focus
 from slbench.twin import experiment
 from slbench.twin.experiment import run_experiment, stage_positions
 

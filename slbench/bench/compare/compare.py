@@ -21,17 +21,15 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from slbench.bench.compare.comparison import Comparison, SetResult, Step
+from slbench.bench.compare.comparison import Comparison, SetResult
 from slbench.bench.compare.repeated import Light, Repeats, scan_repeats
 from slbench.bench.compare.sets import Equal, PatternSet, pattern_sets
 from slbench.bench.compare.tiles import (
-    Pair,
     bootstrap_medians,
     compared,
     ranked,
@@ -42,28 +40,12 @@ from slbench.bench.compare.tiles import (
 )
 from slbench.bench.statistics import percentile_interval
 from slbench.capture.stack import WeightSource
+from slbench.core.document import Cloud
 from slbench.core.errors import InputError
-from slbench.core.io import atomic_folder, provenance, write_exr, write_json
-from slbench.core.io.atomic import write_bytes
-from slbench.report import Cloud, Picture
-from slbench.report.pages.compare import comparison_page, draw, tables
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.repeats import tagged_seed
 from slbench.simulate.transport import LightTransport
-
-__all__ = [
-    "Comparison",
-    "NothingToCompare",
-    "Pair",
-    "SetResult",
-    "Step",
-    "compare",
-    "comparison_page",
-    "draw",
-    "own_shifts",
-    "write_comparison",
-]
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -365,36 +347,3 @@ def _cloud(
     }
     caption = "Mean over the repeats, at the pixels of the comparison."
     return Cloud(f"Points of {{{name}}}", true + found.error_mm[common], values, true, caption)
-
-
-def write_comparison(comparison: Comparison, folder: str | Path) -> list[Path]:
-    """Write a comparison's files; nothing appears in `folder` until all are complete.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    folder : path
-
-    Returns
-    -------
-    list of Path
-        ``comparison.json``, ``comparison.md``, ``comparison.png``, ``maps/`` (an EXR a set:
-        ``std``, ``std.z`` and ``error.z``, mm, NaN outside the comparison) and
-        ``provenance.json``.
-    """
-    with atomic_folder(folder) as temporary:
-        write_json(temporary / "comparison.json", comparison.to_dict())
-        text = f"# {comparison.scene}: pattern sets compared\n\n"
-        text += "\n".join(table.markdown() for table in tables(comparison))
-        write_bytes(temporary / "comparison.md", text.encode())
-        picture = Picture.drawn("comparison", draw(comparison))
-        write_bytes(temporary / "comparison.png", picture.png)
-        for one in comparison.sets:
-            channels = {"std": one.std_mm, "std.z": one.std_z_mm, "error.z": one.error_mm}
-            path = temporary / "maps" / f"{one.name.replace(',', '_')}.exr"
-            write_exr(path, {name: image.astype(np.float32) for name, image in channels.items()})
-        write_json(
-            temporary / "provenance.json", provenance(comparison.parameters, comparison.seed)
-        )
-        names = [entry.name for entry in sorted(temporary.iterdir())]
-    return [Path(folder) / name for name in names]

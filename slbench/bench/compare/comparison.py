@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.sets import Equal
 from slbench.bench.compare.tiles import Pair
+from slbench.core.document import Cloud
 from slbench.core.errors import InputError
 from slbench.patterns import PatternSequence
-from slbench.report import Cloud
 
 Array = NDArray[np.float64]
 

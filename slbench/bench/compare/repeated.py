@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.comparison import Step
 from slbench.bench.compare.sets import PatternSet
-from slbench.capture.capture import capture
 from slbench.capture.stack import WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
 from slbench.patterns import PhaseMap
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.features import StepScore, fit_features
+from slbench.simulate.expose import capture
 from slbench.simulate.scan import capture_stack
 from slbench.simulate.transport import LightTransport
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import rq
 
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import Axes, checked_inputs
-from slbench.calibration.points import CalibrationPoints
 from slbench.cloud.triangulation import intersect_axis, nearest_points
 from slbench.core.errors import InputError
 from slbench.rig import Camera, Lens, Pose, Projector, Rig

@@ -9,8 +9,9 @@ reach beyond the image: its dots are indexed by :mod:`slbench.calibration.target
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -19,7 +20,6 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.calibration.target.detect import Dots, checked_image, detect_dots
 from slbench.calibration.target.indexing import index_grid
 from slbench.core.errors import InputError
-from slbench.objects import Artefact
 
 Array = NDArray[np.float64]
 
@@ -28,6 +28,26 @@ BOARDS = ("chequerboard", "circle_grid", "calibration_grid")
 
 #: Scatter of a corner of ``findChessboardCornersSB`` in good light, px; it states none.
 _CORNER_SD_PX = 0.05
+
+
+class Board(Protocol):
+    """What is known of a target: an artefact has it, and so may a plain value.
+
+    ``parameters`` has ``columns`` and ``rows``; ``targets`` is (n, 3), the certified places
+    of its points, mm.
+    """
+
+    @property
+    def kind(self) -> str:
+        """One of :data:`BOARDS`."""
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Numbers that the target was made from."""
+
+    @property
+    def targets(self) -> Any:
+        """Places of its points, row by row, or None."""
 
 
 @dataclass(frozen=True)
@@ -56,16 +76,16 @@ class BoardPoints:
 
 
 def find_board(
-    image: NDArray[Any], artefact: Artefact, *, near: ArrayLike | None = None
+    image: NDArray[Any], artefact: Board, *, near: ArrayLike | None = None
 ) -> BoardPoints:
     """Find the points of a target.
 
     Parameters
     ----------
     image : (V, U) uint8, uint16 or float
-    artefact : Artefact
-        A chequerboard or circle grid, wholly in view, or a calibration grid, of which any
-        part may be.  They are seen from the front.
+    artefact : Board
+        Such as an artefact: a chequerboard or circle grid, wholly in view, or a calibration
+        grid, of which any part may be.  They are seen from the front.
     near : (2,) float, optional
         For a calibration grid: the pixel where the middle of the plate is expected, to half
         a pitch.  Without it all of the grid's dots must be in view.
@@ -137,7 +157,7 @@ def _circles(dots: Dots, size: tuple[int, int]) -> tuple[Array, Array]:
 
 
 def _partial_grid(
-    dots: Dots, artefact: Artefact, size: tuple[int, int], near: ArrayLike | None
+    dots: Dots, artefact: Board, size: tuple[int, int], near: ArrayLike | None
 ) -> BoardPoints:
     """Index the dots of a calibration grid, of which part may be out of view."""
     columns, rows = size

@@ -23,10 +23,10 @@ from slbench.core.errors import InputError
 from slbench.datasets.make import tasks
 from slbench.datasets.make.cluster import Cluster, LostError
 from slbench.datasets.make.sample_maker import environment
+from slbench.datasets.manifest import MANIFEST, Manifest, described
 from slbench.datasets.spec.sampling import check
 from slbench.datasets.spec.specification import Specification
 from slbench.datasets.store import index
-from slbench.datasets.store.manifest import MANIFEST, Manifest, described
 from slbench.datasets.store.shards import digest
 from slbench.datasets.store.storage import Storage, is_temporary
 

@@ -23,7 +23,6 @@ import numpy as np
 import scipy.linalg  # noqa: F401  (its BLAS is among those that environment() names)
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from slbench.capture.capture import capture
 from slbench.cloud.triangulation import triangulate
 from slbench.core.errors import InputError
 from slbench.core.io import provenance, write_json
@@ -52,6 +51,7 @@ from slbench.datasets.store.shards import digest, key
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth, Status
 from slbench.score.points import score
+from slbench.simulate.expose import capture
 from slbench.simulate.scan import floor_rms_px
 from slbench.simulate.transport import LightTransport, Marginal
 

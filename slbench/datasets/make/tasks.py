@@ -31,9 +31,9 @@ from slbench.datasets.make.sample_maker import (
     row_of,
     stamped,
 )
+from slbench.datasets.manifest import MANIFEST, Manifest
 from slbench.datasets.spec.specification import Specification, from_dict
 from slbench.datasets.store import index
-from slbench.datasets.store.manifest import MANIFEST, Manifest
 from slbench.datasets.store.shards import END, digest, key, pack, shard_name, unpack
 from slbench.datasets.store.storage import Storage
 

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
+from slbench.datasets.manifest import MANIFEST, Manifest
 from slbench.datasets.read.split import by_object
 from slbench.datasets.read.stored import Row, Sample
 from slbench.datasets.read.where import compile_where
 from slbench.datasets.store import index
-from slbench.datasets.store.manifest import MANIFEST, Manifest
 from slbench.datasets.store.shards import key
 from slbench.datasets.store.storage import Storage
 

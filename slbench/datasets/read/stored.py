@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 from numpy.typing import NDArray
 
 from slbench.capture.capture import MANIFEST as CAPTURE
-from slbench.capture.capture import Capture, capture, exposure
+from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.io import read_json
 from slbench.datasets.store import sample, shards
@@ -29,6 +29,7 @@ from slbench.rig.opencv import read_rig
 from slbench.scene.file import load_scene, load_settings
 from slbench.scene.model import Exposure, Scene
 from slbench.scene.truth import GroundTruth
+from slbench.simulate.expose import capture, exposure
 from slbench.simulate.transport import LightTransport
 
 T = TypeVar("T")

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.capture.capture import Capture, capture
+from slbench.capture.capture import Capture
 from slbench.capture.stack import WeightSource
 from slbench.core.errors import InputError
 from slbench.design.fringes.chain import any_error, unwrapping_chain
@@ -37,6 +37,7 @@ from slbench.design.fringes.noise import PhaseNoise, estimate_noise
 from slbench.patterns import Fringes, NoiseModel, relative_phase
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
+from slbench.simulate.expose import capture
 from slbench.simulate.repeats import plate_scene, repeated_phases, tagged_seed, traced
 from slbench.simulate.scan import capture_stack
 from slbench.simulate.transport import LightTransport

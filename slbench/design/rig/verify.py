@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import spearmanr
 
 from slbench import objects
-from slbench.capture.capture import capture
 from slbench.cloud.triangulation import triangulate
 from slbench.core.errors import InputError
 from slbench.core.io import atomic_path
@@ -29,6 +28,7 @@ from slbench.patterns import PatternSequence
 from slbench.rig import Pose
 from slbench.scene.model import Scene, SceneObject
 from slbench.score.points import point_errors
+from slbench.simulate.expose import capture
 
 Array = NDArray[np.float64]
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from slbench.calibration.models.baselines import Comparison
-from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.baselines import Comparison
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection
+from slbench.core.document import Cell, Cloud, Page, Part, Picture, Table
 from slbench.core.io import provenance
-from slbench.report.parts import Cell, Cloud, Page, Part, Picture, Table
 from slbench.twin.experiment import Experiment
 from slbench.twin.report import (
     method_rows,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,9 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.comparison import Comparison, SetResult
 from slbench.bench.compare.tiles import Pair
-from slbench.core.io import provenance
-from slbench.report import Page, Picture, Table
+from slbench.core.document import Page, Picture, Table
+from slbench.core.io import atomic_folder, provenance, write_exr, write_json
+from slbench.core.io.atomic import write_bytes
 
 #: Maps beside one another; more sets go below.
 _COLUMNS = 4
@@ -277,3 +279,36 @@ def _plain_numbers(axis: Any) -> None:
         axis.set_minor_formatter(FuncFormatter(between))
     else:
         axis.set_minor_formatter(NullFormatter())
+
+
+def write_comparison(comparison: Comparison, folder: str | Path) -> list[Path]:
+    """Write a comparison's files; nothing appears in `folder` until all are complete.
+
+    Parameters
+    ----------
+    comparison : Comparison
+    folder : path
+
+    Returns
+    -------
+    list of Path
+        ``comparison.json``, ``comparison.md``, ``comparison.png``, ``maps/`` (an EXR a set:
+        ``std``, ``std.z`` and ``error.z``, mm, NaN outside the comparison) and
+        ``provenance.json``.
+    """
+    with atomic_folder(folder) as temporary:
+        write_json(temporary / "comparison.json", comparison.to_dict())
+        text = f"# {comparison.scene}: pattern sets compared\n\n"
+        text += "\n".join(table.markdown() for table in tables(comparison))
+        write_bytes(temporary / "comparison.md", text.encode())
+        picture = Picture.drawn("comparison", draw(comparison))
+        write_bytes(temporary / "comparison.png", picture.png)
+        for one in comparison.sets:
+            channels = {"std": one.std_mm, "std.z": one.std_z_mm, "error.z": one.error_mm}
+            path = temporary / "maps" / f"{one.name.replace(',', '_')}.exr"
+            write_exr(path, {name: image.astype(np.float32) for name, image in channels.items()})
+        write_json(
+            temporary / "provenance.json", provenance(comparison.parameters, comparison.seed)
+        )
+        names = [entry.name for entry in sorted(temporary.iterdir())]
+    return [Path(folder) / name for name in names]

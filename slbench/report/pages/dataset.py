@@ -15,16 +15,16 @@ import numpy as np
 import tomli_w
 from matplotlib.figure import Figure
 
+from slbench.core.document import Cell, Picture, Table
 from slbench.core.errors import InputError
 from slbench.core.io import plain
+from slbench.datasets.manifest import Manifest
 from slbench.datasets.spec.distributions import column
 from slbench.datasets.spec.specification import from_dict
 from slbench.datasets.store import index
-from slbench.datasets.store.manifest import Manifest
 from slbench.datasets.store.sample import REQUIRED, TRANSPORT, TRUTH, unpacked
 from slbench.datasets.store.shards import unpack
 from slbench.datasets.store.storage import Storage
-from slbench.report.parts import Cell, Picture, Table
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.transport import LightTransport
 

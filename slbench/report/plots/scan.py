@@ -3,31 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.core.io import atomic_path
 from slbench.patterns import Fringes, relative_phase
 from slbench.report.plots.draw import draw_image
 from slbench.score.points import point_errors
 from slbench.simulate.scan import Scan
 
 
-def summary(scan: Scan, path: str | Path) -> None:
+def summary(scan: Scan) -> Figure:
     """Draw a scan: frame, relative phase, panel coordinate, heights, errors, histogram.
 
     Parameters
     ----------
     scan : Scan
-    path : path of the PNG
+
+    Returns
+    -------
+    matplotlib Figure
     """
     figure = Figure(figsize=(15.0, 8.4), dpi=100, layout="constrained")
-    FigureCanvasAgg(figure)
     for axes, draw in zip(figure.subplots(2, 3).flat, panels(scan), strict=True):
         draw(axes)
     score = scan.score
@@ -37,8 +36,7 @@ def summary(scan: Scan, path: str | Path) -> None:
         f"{1e3 * score.median_abs_mm:.1f} µm, renderer's floor {scan.floor_rms_px:.3f} px",
         parse_math=False,
     )
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, format="png")
+    return figure
 
 
 def panels(scan: Scan) -> list[Callable[[Any], None]]:

@@ -21,15 +21,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.statistics import Interval, bootstrap, percentile_interval
-from slbench.capture.capture import capture
 from slbench.cloud.triangulation import triangulate
+from slbench.core.document import Cloud
 from slbench.design.rig.hardware import load_hardware
-from slbench.report import Cloud
 from slbench.rig import Pose, Rig
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene
 from slbench.score.points import point_errors, score
+from slbench.simulate.expose import capture
 from slbench.simulate.repeats import plate_scene, tagged_seed
 from slbench.simulate.scan import scan
 from slbench.thesis import published as thesis
@@ -43,6 +42,7 @@ from slbench.thesis.ch6.report import (
     plane_picture,
     plane_table,
 )
+from slbench.thesis.ch6.results import ObjectScan, PlaneSweep, StepHeights
 from slbench.thesis.outcome import Outcome
 
 Array = NDArray[np.float64]
@@ -53,8 +53,6 @@ PATTERNS = "1,5"
 OBJECTS = ("ch6-brick", "ch6-propeller", "ch6-gear")
 #: A block is put down to this, mm; grids of pixels repeat within it.
 _PLACEMENT_MM = 0.5
-#: Positions that are drawn together in the bootstrap are neighbours: at most so many groups.
-_BLOCKS = 12
 #: Points of a cloud in the report.
 _CLOUD_POINTS = 40_000
 _PLANE, _STEPS = range(2)
@@ -72,67 +70,6 @@ class _Size:
 
 _FULL = _Size(1, 64, 61, 15)
 _PREVIEW = _Size(4, 16, 7, 6)
-
-
-@dataclass(frozen=True, eq=False)
-class PlaneSweep:
-    """Depth errors of a plane, rigs x positions.
-
-    ``rms_mm`` with noise, ``floor_mm`` without, ``noise_rad`` the median phase noise of the
-    finest fringes that the decoder predicts, per rig.
-    """
-
-    heights_mm: Array
-    rms_mm: Array
-    floor_mm: Array
-    noise_rad: Array
-
-    def ratio(self, values: Array, seed: int) -> Interval:
-        """Return the ratio of mean errors, optimal over feasible, with its interval."""
-        count = len(self.heights_mm)
-        blocks = np.array_split(np.arange(count), min(count, _BLOCKS))
-        means = np.array([[row[b].mean() for b in blocks] for row in values])
-        draws = bootstrap(lambda k: means[0, k].mean() / means[1, k].mean(), len(blocks), seed)
-        value = float(values[0].mean() / values[1].mean())
-        return Interval(value, *percentile_interval(draws[:, 0]))
-
-
-@dataclass(frozen=True, eq=False)
-class StepHeights:
-    """Measured heights of the certified steps, rigs x repeats x steps, mm."""
-
-    heights_mm: Array
-
-    @property
-    def errors_mm(self) -> Array:
-        """Measured minus certified."""
-        return self.heights_mm - np.array(thesis.BLOCK_5_MM)
-
-    def ratio(self, seed: int) -> Interval:
-        """Return the ratio of RMS errors, optimal over feasible, with its interval."""
-        squares = (self.errors_mm**2).mean(axis=2)
-        draws = bootstrap(
-            lambda k: np.sqrt(squares[0, k].mean() / squares[1, k].mean()), squares.shape[1], seed
-        )
-        value = float(np.sqrt(squares[0].mean() / squares[1].mean()))
-        return Interval(value, *percentile_interval(draws[:, 0]))
-
-
-@dataclass(frozen=True, eq=False)
-class ObjectScan:
-    """One complex object, scanned: points on the object alone.
-
-    ``completeness`` is the share of the object's lit pixels that were measured, ``normals``
-    those of the true surface.
-    """
-
-    name: str
-    completeness: float
-    smooth_rms_mm: float
-    p95_mm: float
-    points: Array
-    error_z_mm: Array
-    normals: Array
 
 
 def run_ch6(*, preview: bool, seed: int, on_progress: Progress | None = None) -> Outcome:

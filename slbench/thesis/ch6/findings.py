@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from slbench.thesis import published as thesis
+from slbench.thesis.ch6.results import ObjectScan, PlaneSweep, StepHeights
 from slbench.thesis.factors import FACTOR_TOLERANCE, factor_verdict, order_verdict
 from slbench.thesis.outcome import Finding
-
-if TYPE_CHECKING:
-    from slbench.thesis.ch6.experiment import ObjectScan, PlaneSweep, StepHeights
 
 #: Share of an object's lit pixels that makes it reconstructed.
 COMPLETE = 0.95

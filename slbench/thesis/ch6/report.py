@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from slbench.bench.statistics import mean_interval
-from slbench.report import Picture, Table
-from slbench.report.parts import Cell
+from slbench.core.document import Cell, Picture, Table
+from slbench.thesis.ch6.results import ObjectScan, PlaneSweep, StepHeights
 from slbench.thesis.pictures import colour_bar, draw_cloud, new_figure, picture
-
-if TYPE_CHECKING:
-    from slbench.thesis.ch6.experiment import ObjectScan, PlaneSweep, StepHeights
 
 
 def plane_table(sweep: PlaneSweep, thesis: Mapping[str, Sequence[float]]) -> Table:

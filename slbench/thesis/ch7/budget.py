@@ -24,7 +24,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.compare.compare import Comparison, SetResult, compare
+from slbench.bench.compare.compare import compare
+from slbench.bench.compare.comparison import Comparison, SetResult
 from slbench.detector.emva1288 import Detector
 from slbench.scene.model import Light, Scene
 from slbench.scene.truth import GroundTruth, Status

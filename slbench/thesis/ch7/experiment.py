@@ -21,9 +21,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.compare.compare import Comparison, compare
+from slbench.bench.compare.compare import compare
+from slbench.bench.compare.comparison import Comparison
+from slbench.core.document import Cloud
 from slbench.detector.emva1288 import Detector
-from slbench.report import Cloud
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
@@ -39,6 +40,7 @@ from slbench.thesis.ch7.findings import (
     std_findings,
     time_findings,
 )
+from slbench.thesis.ch7.results import Shaken
 from slbench.thesis.ch7.timing import time_sets
 from slbench.thesis.ch7.twoterm import constant_for_ratio, noisy_detector, vibration_std_mm
 from slbench.thesis.outcome import Outcome
@@ -75,26 +77,6 @@ _FULL = _Size(1, 64, 15, 30, 40)
 _PREVIEW = _Size(2, 16, 6, 12, 5, (STEP_BLOCK, "ch7-gear"))
 #: Samples of the light where only the time of decoding matters.
 _TIMING_SAMPLES = 4
-
-
-@dataclass(frozen=True, eq=False)
-class Shaken:
-    """Comparisons with the vibration that reproduces one factor.
-
-    ``vibration_px`` is that of the camera that was simulated, ``divisor`` how much coarser it is
-    than the thesis's; ``moved_um`` what the vibration is on the object.
-    """
-
-    vibration_px: float
-    divisor: int
-    moved_um: float
-    detector: Detector
-    found: dict[str, Comparison]
-
-    @property
-    def full_size_px(self) -> float:
-        """The vibration in pixels of the thesis's camera."""
-        return self.vibration_px * self.divisor
 
 
 def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) -> Outcome:

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.bench.compare.compare import Comparison
+from slbench.bench.compare.comparison import Comparison
 from slbench.bench.statistics import Interval, percentile_interval
 from slbench.core.errors import InputError
 from slbench.simulate.repeats import tagged_seed
 from slbench.thesis import published as thesis
 from slbench.thesis.ch7.budget import Budget, heights_rms_mm
+from slbench.thesis.ch7.results import Shaken
 from slbench.thesis.ch7.timing import Timing
 from slbench.thesis.factors import FACTOR_TOLERANCE, factor_verdict, order_verdict
 from slbench.thesis.outcome import Finding
 from slbench.thesis.published import DOUBLING, FINEST, LONG, OBJECTS, OURS, SETS, STD_UM, STEP_BLOCK
-
-if TYPE_CHECKING:
-    from slbench.thesis.ch7.experiment import Shaken
 
 Array = NDArray[np.float64]
 

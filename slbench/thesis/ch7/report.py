@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from slbench.bench.compare.compare import Comparison
-from slbench.report import Picture, Table
-from slbench.report.parts import Cell
+from slbench.bench.compare.comparison import Comparison
+from slbench.core.document import Cell, Picture, Table
 from slbench.scene.truth import GroundTruth
 from slbench.thesis.ch7.budget import Budget
+from slbench.thesis.ch7.results import Shaken
 from slbench.thesis.ch7.timing import Timing, typical
 from slbench.thesis.ch7.twoterm import TwoTerm
 from slbench.thesis.pictures import (
@@ -22,9 +21,6 @@ from slbench.thesis.pictures import (
     picture,
 )
 from slbench.thesis.published import FINEST, SETS, STEP_BLOCK
-
-if TYPE_CHECKING:
-    from slbench.thesis.ch7.experiment import Shaken
 
 _STD_NOTE = (
     "Median over the pixels of the standard deviation over the repeats: of the height for the "

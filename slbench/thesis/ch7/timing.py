@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.statistics import Interval, bootstrap, percentile_interval
-from slbench.capture.capture import capture
 from slbench.cloud.triangulation import triangulate
 from slbench.scene.model import Scene
+from slbench.simulate.expose import capture
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]

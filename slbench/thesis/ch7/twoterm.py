@@ -28,12 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from slbench.capture.capture import capture
 from slbench.cloud.triangulation import intersect_axis
 from slbench.core.errors import InputError
 from slbench.detector.emva1288 import Detector
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
+from slbench.simulate.expose import capture
 from slbench.simulate.repeats import plate_scene
 
 Array = NDArray[np.float64]

@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.calibration.models.model import CalibrationModel
+from slbench.capture.focus import Focus
 from slbench.cloud.registration import STAGE_SIGMA_MM
+from slbench.core.document import Cloud, Picture, Table
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.trial import noise_of_scene
-from slbench.report import Cloud, Picture, Table
 from slbench.scene.file import load_scene
-from slbench.scene.model import Focus, Scene
+from slbench.scene.model import Scene
 from slbench.simulate.repeats import tagged_seed
 from slbench.thesis.ch8 import models as ch8_models
 from slbench.thesis.ch8 import noise as ch8_noise

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.calibration.models.model import COORDINATES, CalibrationModel
-from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection, select_models
 from slbench.cloud.registration import STAGE_SIGMA_MM
-from slbench.report import Picture, Table
+from slbench.core.document import Picture, Table
 from slbench.thesis.outcome import Finding, Verdict
 from slbench.thesis.pictures import new_figure, picture
 from slbench.twin.experiment import Experiment

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.core.document import Picture, Table
 from slbench.design.fringes.design import candidates, thesis_sequence, usable
 from slbench.design.fringes.noise import PhaseNoise
-from slbench.report import Picture, Table
 from slbench.thesis.outcome import Finding, Verdict
 from slbench.thesis.pictures import new_figure, picture
 

@@ -8,8 +8,7 @@ import numpy as np
 from matplotlib.colors import LightSource
 from numpy.typing import NDArray
 
-from slbench.report import Cloud, Picture, Table
-from slbench.report.parts import Cell
+from slbench.core.document import Cell, Cloud, Picture, Table
 from slbench.thesis.ch8.views import Merged
 from slbench.thesis.outcome import Finding
 from slbench.thesis.pictures import new_figure, picture

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from slbench.calibration.models.model import CalibrationModel
 from slbench.cloud.registration import STAGE_SIGMA_MM
+from slbench.core.document import Cell, Picture, Table
 from slbench.core.errors import InputError
 from slbench.patterns import PhaseMap
-from slbench.report import Picture, Table
-from slbench.report.parts import Cell
 from slbench.rig import Pose
 from slbench.scene.model import Scene
 from slbench.simulate.repeats import tagged_seed

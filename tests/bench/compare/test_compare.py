@@ -9,7 +9,7 @@ import pytest
 from scenes_small import small, transport_of, truth_of
 from scipy.stats import chi2
 
-from slbench.bench.compare.compare import compare, comparison_page, draw, write_comparison
+from slbench.bench.compare.compare import compare
 from slbench.bench.compare.sets import pattern_sets
 from slbench.bench.compare.tiles import (
     Pair,
@@ -24,13 +24,14 @@ from slbench.bench.compare.tiles import (
     tile_side,
 )
 from slbench.bench.statistics import median_interval, percentile_interval
-from slbench.capture.capture import capture
 from slbench.cloud.triangulation import triangulate
+from slbench.core.document import Cloud
 from slbench.core.errors import InputError
 from slbench.core.io import read_exr, read_json
 from slbench.patterns import Fringes, relative_phase
-from slbench.report import Cloud
+from slbench.report.pages.compare import comparison_page, draw, write_comparison
 from slbench.score.points import score
+from slbench.simulate.expose import capture
 
 THREE = ("1,10,50", "1,2,4", "gray")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from calibration_data import grid_points, rig_of
 
-from slbench.calibration.models.baselines import PhaseHeightTable, compare_methods, plane_labels
+from slbench.calibration.baselines import PhaseHeightTable, compare_methods, plane_labels
 from slbench.calibration.models.pinhole import PinholeModel, resection
-from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.core.errors import InputError
 
 

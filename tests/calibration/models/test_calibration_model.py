@@ -9,7 +9,7 @@ from calibration_data import rig_points
 from slbench.calibration.measure import measure
 from slbench.calibration.models.domain import Domain
 from slbench.calibration.models.model import CalibrationModel
-from slbench.calibration.points import COLUMNS, CalibrationPoints
+from slbench.calibration.models.points import COLUMNS, CalibrationPoints
 from slbench.calibration.selection import select_models
 from slbench.core.errors import InputError
 from slbench.patterns import PhaseMap

@@ -8,11 +8,11 @@ from target_images import centroid, dots_image, matched, noisy
 
 from slbench.calibration.target.detect import Dots, detect_dots
 from slbench.calibration.target.perspective import circle_centre_bias
-from slbench.capture.capture import exposure
 from slbench.core.errors import InputError
 from slbench.detector.emva1288 import expose
 from slbench.rig import Pose
 from slbench.scene.file import load_scene
+from slbench.simulate.expose import exposure
 from slbench.simulate.render.trace import trace
 
 

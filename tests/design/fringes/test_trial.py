@@ -6,7 +6,6 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 
-from slbench.capture.capture import capture
 from slbench.core.errors import InputError
 from slbench.design.fringes.bounded import bounded_sequence
 from slbench.design.fringes.design import candidates, predict, thesis_sequence
@@ -14,6 +13,7 @@ from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.trial import _spread, noise_of_scene, scan_repeatedly
 from slbench.patterns import PatternSequence, unwrap
 from slbench.scene.file import load_scene
+from slbench.simulate.expose import capture
 from slbench.simulate.render.groundtruth import ground_truth
 from slbench.simulate.render.trace import trace
 from slbench.simulate.repeats import plate_scene, repeated_phases, tagged_seed

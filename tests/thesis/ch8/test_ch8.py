@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from stage_views import NOISE_MM, stage_views
 
-from slbench.calibration.points import CalibrationPoints
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.cloud.registration import register
 from slbench.core.errors import InputError
 from slbench.design.fringes.noise import PhaseNoise

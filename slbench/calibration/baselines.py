@@ -27,8 +27,8 @@ from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.spatial import QhullError
 
 from slbench.calibration.models.pinhole import PinholeModel
+from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import Axes, checked_inputs
-from slbench.calibration.points import CalibrationPoints
 from slbench.calibration.selection import median_absolute, rms, select_models
 from slbench.core.errors import InputError
 

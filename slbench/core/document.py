@@ -12,8 +12,6 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
@@ -101,9 +99,8 @@ class Picture:
     caption: str = ""
 
     @classmethod
-    def drawn(cls, title: str, figure: Figure, caption: str = "") -> Picture:
+    def drawn(cls, title: str, figure: Any, caption: str = "") -> Picture:
         """Return a matplotlib figure as a picture."""
-        FigureCanvasAgg(figure)
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png")
         return cls(title, buffer.getvalue(), caption)

@@ -12,9 +12,9 @@ from typing import Any
 from slbench.core.errors import InputError
 from slbench.datasets.make.sample_maker import row_of
 from slbench.datasets.make.tasks import FILES, RUN, STAGING, rows_name
+from slbench.datasets.manifest import MANIFEST, Manifest, described
 from slbench.datasets.spec.specification import from_dict
 from slbench.datasets.store import index
-from slbench.datasets.store.manifest import MANIFEST, Manifest, described
 from slbench.datasets.store.sample import REQUIRED
 from slbench.datasets.store.shards import END, digest, shard_name, unpack
 from slbench.datasets.store.storage import Storage
