@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binom, t
 
 from slbench.core.errors import InputError
+from slbench.core.random import generator
 
 Array = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ def bootstrap(
     """
     if n < 2:
         raise InputError("bootstrap", "at least two units", n)
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     rows = [np.atleast_1d(np.asarray(statistic(rng.integers(n, size=n)))) for _ in range(resamples)]
     return np.array(rows, float)
 

@@ -53,6 +53,7 @@ from slbench.calibration.robust import (
 )
 from slbench.calibration.scales import gross_points, predictive_scale
 from slbench.core.errors import InputError
+from slbench.core.random import generator
 
 Array = NDArray[np.float64]
 
@@ -190,7 +191,7 @@ def split(
     count = round(validation * n)
     if not 0 < count < n:
         raise InputError("calibration points", "enough for training and validation", n)
-    order = np.random.default_rng(seed).permutation(n)
+    order = generator(seed).permutation(n)
     return np.sort(order[count:]), np.sort(order[:count])
 
 

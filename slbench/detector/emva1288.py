@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.capture.capture import BIT_DEPTHS
 from slbench.core.errors import InputError
+from slbench.core.random import generator
 from slbench.patterns import NoiseModel
 
 FloatArray = NDArray[np.float64]
@@ -320,7 +321,7 @@ def _fixed_pattern(
     seed: int, prnu: float, dsnu_e: float, shape: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the relative response and the offset in electrons of each pixel, (V, U) each."""
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     response = np.maximum(1.0 + prnu * rng.standard_normal(shape), 0.0).astype(np.float32)
     offset = (dsnu_e * rng.standard_normal(shape)).astype(np.float32)
     response.setflags(write=False)  # shared by all calls

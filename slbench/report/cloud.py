@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from slbench.core.document import Cloud, Picture
+from slbench.core.random import generator
 
 Array = NDArray[np.float64]
 
@@ -171,7 +172,7 @@ def _sample(rows: NDArray[np.intp], most: int) -> NDArray[np.intp]:
     """Choose rows at random, the same every time; regular steps would show as moire."""
     if len(rows) <= most:
         return rows
-    return np.sort(np.random.default_rng(0).choice(rows, most, replace=False))
+    return np.sort(generator(0).choice(rows, most, replace=False))
 
 
 def _box(points: Array, truth: Array) -> Array:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
+from slbench.core.random import Word, generator
 from slbench.detector.emva1288 import (
     auto_exposure_scale,
     expose,
@@ -66,8 +67,8 @@ def capture(
     shape = (sequence.n_frames, *transport.shape)
     dtype = np.uint8 if scene.detector.bit_depth == 8 else np.uint16
     frames = np.empty(shape, dtype)
-    rng = np.random.default_rng([seed, 1])
-    shake = np.random.default_rng([seed, 2]) if noise else None
+    rng = generator(seed, Word.NOISE)
+    shake = generator(seed, Word.VIBRATION) if noise else None
     done = 0
     for indices, radiance in radiance_batches(scene, transport):
         if shake is not None and scene.exposure.vibration_px > 0:

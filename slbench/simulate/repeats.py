@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from slbench import objects
 from slbench.capture.stack import WeightSource
+from slbench.core.random import Word, generator, tagged_seed
 from slbench.detector.emva1288 import expose
 from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
 from slbench.rig import Pose
@@ -24,11 +25,6 @@ from slbench.simulate.scan import capture_stack
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
-
-
-def tagged_seed(seed: int, *tags: int) -> int:
-    """Return a seed of its own for each run of tags, so that no two random streams are shared."""
-    return int(np.random.SeedSequence(seed, spawn_key=tags).generate_state(1)[0])
 
 
 def plate_scene(scene: Scene, height_mm: float) -> Scene:
@@ -124,7 +120,7 @@ def _frames(
     for indices, radiance in radiance_batches(scene, transport):
         few[indices, 0] = radiance.reshape(len(radiance), -1)[:, pixels]
     for r in range(repeats):
-        rng = np.random.default_rng([tagged_seed(seed, r), 1])
+        rng = generator(tagged_seed(seed, r), Word.NOISE)
         yield expose(scene.detector, few, exposure_s, rng, scale=factor)[:, 0]
 
 

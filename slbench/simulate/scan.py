@@ -19,6 +19,7 @@ from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack, FusedCapture, WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
 from slbench.core.errors import InputError
+from slbench.core.random import derived_seed
 from slbench.patterns import Flat, PatternSequence, PhaseMap
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
@@ -239,7 +240,7 @@ def capture_stack(
             transport = transports[setting]
         light = light or exposure(focused, transport)
         # Noise of its own for each setting, whatever the seeds of other scans.
-        own = int(np.random.SeedSequence([seed, setting]).generate_state(1)[0])
+        own = derived_seed(seed, setting)
         captures[setting] = capture(focused, transport, seed=own, noise=noise, light=light)
         if on_progress:
             on_progress(len(captures) / count)

@@ -20,6 +20,7 @@ from PIL import Image
 from scipy.spatial import KDTree
 
 from slbench.core.document import Picture
+from slbench.core.random import generator
 
 Array = NDArray[np.float64]
 
@@ -97,7 +98,7 @@ def draw_cloud(
     raster = np.ones((row.max() + splat + 1, width_px + splat, 3))
     # The nearest last: it covers the others.  In layers much thicker than the noise, shuffled,
     # or points that err towards the viewer would hide their neighbours.
-    order = np.random.default_rng(0).permutation(len(seen))
+    order = generator(0).permutation(len(seen))
     order = order[np.argsort(np.round(seen[order, 2] / (_LAYER * size)), kind="stable")]
     offsets = np.arange(splat)
     rows = (row[order, None, None] + offsets[:, None] + 0 * offsets).ravel()

@@ -25,6 +25,7 @@ from slbench.calibration.target.remap import remap
 from slbench.capture.capture import Capture
 from slbench.capture.stack import WeightSource
 from slbench.core.errors import InputError
+from slbench.core.random import Word, derived_seed, generator
 from slbench.patterns import Axis, Flat, PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene
@@ -148,14 +149,14 @@ def run_experiment(
     if not 0 <= stage_sigma_mm < np.inf:
         raise InputError("stage sigma", "zero or a positive length (mm)", stage_sigma_mm)
     camera = scene.rig.camera
-    errors = np.random.default_rng([seed, 3]).normal(0.0, stage_sigma_mm or 0.0, positions_mm.shape)
+    errors = generator(seed, Word.STAGE).normal(0.0, stage_sigma_mm or 0.0, positions_mm.shape)
     pixels, world, position, detection = [], [], [], []
     problems, captured = [], False
     for k, (nominal, error) in enumerate(zip(positions_mm, errors, strict=True)):
         nominal_pose = Pose(grid.pose.rotation, grid.pose.position + nominal)
         moved = replace(grid, pose=Pose(grid.pose.rotation, nominal_pose.position + error))
         placed = replace(scene, objects=(moved, *scene.objects[1:]))
-        own = int(np.random.SeedSequence([seed, 4, k]).generate_state(1)[0])
+        own = derived_seed(seed, Word.POSITION, k)
         try:
             shots, phase = _measured(placed, weights, own)
             captured = True

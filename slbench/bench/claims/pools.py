@@ -31,9 +31,9 @@ from slbench.bench.compare.sets import pattern_sets
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import plain
+from slbench.core.random import tagged_seed
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene, SceneObject
-from slbench.simulate.repeats import tagged_seed
 from slbench.simulate.scan import scan
 
 Array = NDArray[np.float64]

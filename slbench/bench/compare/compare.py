@@ -42,9 +42,9 @@ from slbench.bench.statistics import percentile_interval
 from slbench.capture.stack import WeightSource
 from slbench.core.document import Cloud
 from slbench.core.errors import InputError
+from slbench.core.random import tagged_seed
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.repeats import tagged_seed
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]

@@ -20,9 +20,9 @@ from typing import Literal, get_args
 import numpy as np
 
 from slbench.core.errors import InputError
+from slbench.core.random import tagged_seed
 from slbench.patterns import Axis, Fringes, PatternSequence, decode
 from slbench.scene.model import Scene
-from slbench.simulate.repeats import tagged_seed
 
 Equal = Literal["frames", "photons"]
 

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.statistics import bootstrap
+from slbench.core.random import generator
 
 Array = NDArray[np.float64]
 Key = TypeVar("Key", bound=Hashable)
@@ -212,7 +213,7 @@ def spread_draws(repeats: int, seed: int, resamples: int) -> Array:
     seed, resamples : int
     """
     freedom = repeats - 1
-    return freedom / np.random.default_rng(seed).chisquare(freedom, resamples)
+    return freedom / generator(seed).chisquare(freedom, resamples)
 
 
 def shaken(draws: Array, std: Array, share: float, spread: Array) -> Array:

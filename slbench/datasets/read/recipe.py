@@ -14,6 +14,7 @@ import numpy as np
 
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
+from slbench.core.random import derived_seed, generator
 from slbench.datasets.read.stored import Sample
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
@@ -51,8 +52,7 @@ class Recipe:
 
     def seed_of(self, sample: Sample, epoch: int = 0) -> int:
         """Return the seed of a sample's noise in an epoch."""
-        sequence = np.random.SeedSequence([self.seed, epoch, sample.number])
-        return int(sequence.generate_state(1)[0])
+        return derived_seed(self.seed, epoch, sample.number)
 
     def shots(self, sample: Sample, epoch: int = 0) -> Capture:
         """Return the frames of a sample.
@@ -68,5 +68,5 @@ class Recipe:
         seed = self.seed_of(sample, epoch)
         patterns = self.patterns
         if callable(patterns):
-            patterns = patterns(sample, np.random.default_rng([seed, 3]))
+            patterns = patterns(sample, generator(seed, 3))
         return sample.capture(patterns, self.detector, seed, self.noise)

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from slbench.core.errors import InputError
+from slbench.core.random import generator
 from slbench.patterns.codes import require_whole
 
 #: Fractions such as 0.7 + 0.2 + 0.1 may exceed 1 by rounding.
@@ -58,7 +57,7 @@ def by_object(
     for position, name in enumerate(objects):
         members.setdefault(name, []).append(position)
     names = sorted(members)  # whatever order the samples stand in
-    order = [names[k] for k in np.random.default_rng(seed).permutation(len(names))]
+    order = [names[k] for k in generator(seed).permutation(len(names))]
     order.sort(key=lambda name: -len(members[name]))
 
     lacking: dict[str | None, float] = {k: s * len(objects) for k, s in fractions.items()}

@@ -22,6 +22,7 @@ import numpy as np
 
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
+from slbench.core.random import generator
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Chooser, Patterns, Recipe
 from slbench.datasets.read.stored import Sample
@@ -182,7 +183,7 @@ class CaptureStream(_Captures, _Iterable):  # type: ignore[misc]
         order, epoch = np.arange(len(self)), self.epoch
         if self.shuffle:
             # Another stream than the noise's, which has the sample's number too.
-            order = np.random.default_rng([self.recipe.seed, epoch]).permutation(order)
+            order = generator(self.recipe.seed, epoch).permutation(order)
         worker = _torch().utils.data.get_worker_info()
         first, step = (0, 1) if worker is None else (worker.id, worker.num_workers)
         for position in order[first::step]:

@@ -20,6 +20,7 @@ import numpy as np
 from pydantic import Field, model_validator
 from scipy.special import ndtr, ndtri
 
+from slbench.core.random import generator
 from slbench.core.validation import Finite, Parameters, validated
 
 Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
@@ -185,7 +186,7 @@ class Distribution(Parameters):
 def stream(seed: int, sample: int, draw: int, name: str) -> np.random.Generator:
     """Return the random numbers of one distribution in one draw of one sample."""
     word = int.from_bytes(hashlib.sha256(name.encode()).digest()[:8], "little")
-    return np.random.default_rng([seed, sample, draw, word])
+    return generator(seed, sample, draw, word)
 
 
 def is_distribution(value: object) -> bool:

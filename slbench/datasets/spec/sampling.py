@@ -16,6 +16,7 @@ import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.core.io import plain, write_toml
+from slbench.core.random import derived_seed
 from slbench.datasets.spec.distributions import Distribution, column, find, put, stream
 from slbench.datasets.spec.specification import Specification
 from slbench.datasets.store.sample import RIG, SCENE
@@ -53,14 +54,14 @@ class Draw:
 
 def sample_seed(seed: int, sample: int) -> int:
     """Return the seed of a sample's light and of its first capture."""
-    return int(np.random.SeedSequence([seed, sample]).generate_state(1)[0])
+    return derived_seed(seed, sample)
 
 
 def capture_seed(of_sample: int, pattern_set: int, repeat: int) -> int:
     """Return the seed of a capture; the first one has the sample's own."""
     if (pattern_set, repeat) == (0, 0):
         return of_sample
-    return int(np.random.SeedSequence([of_sample, pattern_set, repeat]).generate_state(1)[0])
+    return derived_seed(of_sample, pattern_set, repeat)
 
 
 def draw(

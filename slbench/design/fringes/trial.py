@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from slbench.capture.capture import Capture
 from slbench.capture.stack import WeightSource
 from slbench.core.errors import InputError
+from slbench.core.random import generator, tagged_seed
 from slbench.design.fringes.chain import any_error, unwrapping_chain
 from slbench.design.fringes.design import SequenceDesign
 from slbench.design.fringes.noise import PhaseNoise, estimate_noise
@@ -38,7 +39,7 @@ from slbench.patterns import Fringes, NoiseModel, relative_phase
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.expose import capture
-from slbench.simulate.repeats import plate_scene, repeated_phases, tagged_seed, traced
+from slbench.simulate.repeats import plate_scene, repeated_phases, traced
 from slbench.simulate.scan import capture_stack
 from slbench.simulate.transport import LightTransport
 
@@ -338,5 +339,5 @@ def _chosen(truth: GroundTruth, seed: int) -> NDArray[np.intp]:
     """Return at most `_PIXELS` pixels of smooth lit surface, drawn at random, in order."""
     pixels = np.flatnonzero(truth.smooth())
     if len(pixels) > _PIXELS:
-        pixels = np.sort(np.random.default_rng(seed).choice(pixels, _PIXELS, replace=False))
+        pixels = np.sort(generator(seed).choice(pixels, _PIXELS, replace=False))
     return pixels

@@ -39,6 +39,7 @@ from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.random import generator
 
 Array = NDArray[np.float64]
 PhaseModel = Literal["exact", "thesis"]
@@ -183,7 +184,7 @@ def sampled_sigma(
         raise InputError("repeats", "a whole number >= 1", repeats)
     relative, reference = ideal_phases(fringes, width_px, model)
     reference_sigma, phase_sigma = _checked(sigma_reference, sigma_phase)
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     out = np.empty(reference_sigma.shape)
     _sample(
         float(fringes),

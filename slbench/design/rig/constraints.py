@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.random import generator
 from slbench.design.rig.convex import separation
 from slbench.design.rig.hardware import VARIABLES, Hardware, Placement
 from slbench.rig import Camera, DesignVariables, Device
@@ -196,7 +197,7 @@ def diagnose(hardware: Hardware, n: int = 4096, seed: int = 0) -> Diagnosis:
     """
     if n < 1:
         raise InputError("number of configurations", "at least 1", n)
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     low, high = np.array(hardware.lower), np.array(hardware.upper)
     rows = low + (high - low) * rng.random((n, 6))
     values = margins(hardware, rows)
@@ -238,7 +239,7 @@ def feasible_sample(hardware: Hardware, n: int, seed: int = 0) -> Array:
     """
     if n < 1:
         raise InputError("number of configurations", "at least 1", n)
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     low, high = np.array(hardware.lower), np.array(hardware.upper)
     found = np.empty((0, 6))
     for _ in range(32):

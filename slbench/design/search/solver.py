@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
 from slbench.core.errors import InputError
+from slbench.core.random import generator
 from slbench.design.search.front import Front, History
 from slbench.design.search.pointlist import (
     PointList,
@@ -251,7 +252,7 @@ class DirectMultiSearch:
             if idle_from == state.evaluations:
                 return empty
         # One stream a batch, so that a resumed search draws what it would have drawn.
-        rng = np.random.default_rng([self._seed, 1, state.n_batches])
+        rng = generator(self._seed, 1, state.n_batches)
         n, d = self._centres * len(self._directions), self._d
         unit = members[rng.integers(len(members), size=n)]
         unit[np.arange(n), rng.integers(d, size=n)] = rng.random(n)
@@ -267,7 +268,7 @@ class DirectMultiSearch:
         state = self._state
         if state.n_seen >= _START_LIMIT:
             raise InputError("constraints", "a feasible point", f"none among {state.n_seen}")
-        sobol = qmc.Sobol(self._d, rng=np.random.default_rng([self._seed, 0]))
+        sobol = qmc.Sobol(self._d, rng=generator(self._seed, 0))
         drawn = _START_BATCH * (state.n_batches - 1)  # in batches before, the diagonal apart
         if drawn:
             sobol.fast_forward(drawn)

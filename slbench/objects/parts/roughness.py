@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.random import generator
 
 #: Nodes of the noise lattice along either axis; the field repeats beyond.
 _NODES = 1024
@@ -78,7 +79,7 @@ def rough_height(
         return np.zeros(x.shape)
 
     node_mm = 1e-3 * correlation_length_um / _NODES_PER_LENGTH
-    noise = np.random.default_rng(seed).standard_normal((_NODES, _NODES))
+    noise = generator(seed).standard_normal((_NODES, _NODES))
     places = np.stack([x.ravel(), y.ravel()]) / node_mm
     height = np.empty(x.size)
     for start in range(0, x.size, _CHUNK):

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.random import derived_seed
 from slbench.scene.model import Scene
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.optics import PanelOptics, opaque, opaque_transform
@@ -167,7 +168,7 @@ class _Tracer:
         lanes = (last - first) * self.samples
         sampler = self._sampler(self.samples)
         sampler.set_samples_per_wavefront(self.samples)
-        state = np.random.SeedSequence([self.seed, first]).generate_state(1)[0]
+        state = derived_seed(self.seed, first)
         sampler.seed(int(state), lanes)
 
         pixel = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, self.samples)

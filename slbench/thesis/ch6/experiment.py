@@ -23,13 +23,14 @@ from numpy.typing import NDArray
 
 from slbench.cloud.triangulation import triangulate
 from slbench.core.document import Cloud
+from slbench.core.random import generator, tagged_seed
 from slbench.design.rig.hardware import load_hardware
 from slbench.rig import Pose, Rig
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene
 from slbench.score.points import point_errors, score
 from slbench.simulate.expose import capture
-from slbench.simulate.repeats import plate_scene, tagged_seed
+from slbench.simulate.repeats import plate_scene
 from slbench.simulate.scan import scan
 from slbench.thesis import published as thesis
 from slbench.thesis.ch6.findings import object_finding, plane_finding, steps_finding
@@ -198,7 +199,7 @@ def step_heights(
     heights = np.empty((len(rigs), repeats, len(thesis.BLOCK_5_MM)))
     for k in range(repeats):
         own = tagged_seed(seed, _STEPS, k)
-        shift = np.random.default_rng(own).uniform(-_PLACEMENT_MM, _PLACEMENT_MM, 3)
+        shift = generator(own).uniform(-_PLACEMENT_MM, _PLACEMENT_MM, 3)
         moved = tuple(
             replace(o, pose=Pose(o.pose.rotation, o.pose.position + shift)) for o in scene.objects
         )
@@ -249,7 +250,7 @@ def object_scan(scene: Scene, seed: int) -> ObjectScan:
 
 def _cloud(result: ObjectScan, seed: int) -> Cloud:
     count = len(result.points)
-    chosen = np.random.default_rng(seed).permutation(count)[:_CLOUD_POINTS]
+    chosen = generator(seed).permutation(count)[:_CLOUD_POINTS]
     return Cloud(
         result.name,
         result.points[chosen],

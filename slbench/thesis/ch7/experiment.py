@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from slbench.bench.compare.compare import compare
 from slbench.bench.compare.comparison import Comparison
 from slbench.core.document import Cloud
+from slbench.core.random import tagged_seed
 from slbench.detector.emva1288 import Detector
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.repeats import tagged_seed
 from slbench.simulate.transport import LightTransport
 from slbench.thesis import published as thesis
 from slbench.thesis.ch7 import report

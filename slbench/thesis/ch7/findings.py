@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.bench.compare.comparison import Comparison
 from slbench.bench.statistics import Interval, percentile_interval
 from slbench.core.errors import InputError
-from slbench.simulate.repeats import tagged_seed
+from slbench.core.random import generator, tagged_seed
 from slbench.thesis import published as thesis
 from slbench.thesis.ch7.budget import Budget, heights_rms_mm
 from slbench.thesis.ch7.results import Shaken
@@ -244,7 +244,7 @@ def _heights(
     drawn : dict of name to (draws, steps) float
         The same with Student's deviates, as the spread is estimated from the repeats themselves.
     """
-    rng = np.random.default_rng(tagged_seed(seed, _DRAWS))
+    rng = generator(tagged_seed(seed, _DRAWS))
     errors, drawn = {}, {}
     for name in names:
         steps = found[name].steps

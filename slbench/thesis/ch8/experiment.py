@@ -23,11 +23,11 @@ from slbench.calibration.models.model import CalibrationModel
 from slbench.capture.focus import Focus
 from slbench.cloud.registration import STAGE_SIGMA_MM
 from slbench.core.document import Cloud, Picture, Table
+from slbench.core.random import tagged_seed
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.trial import noise_of_scene
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene
-from slbench.simulate.repeats import tagged_seed
 from slbench.thesis.ch8 import models as ch8_models
 from slbench.thesis.ch8 import noise as ch8_noise
 from slbench.thesis.ch8 import objects as ch8_objects

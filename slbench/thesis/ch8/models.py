@@ -23,6 +23,7 @@ from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection, select_models
 from slbench.cloud.registration import STAGE_SIGMA_MM
 from slbench.core.document import Picture, Table
+from slbench.core.random import generator
 from slbench.thesis.outcome import Finding, Verdict
 from slbench.thesis.pictures import new_figure, picture
 from slbench.twin.experiment import Experiment
@@ -112,7 +113,7 @@ def calibrations(experiment: Experiment, stage: Stage, draws: int, seed: int) ->
     truth = experiment.points
     selections, errors = [], []
     for draw in range(1 if stage == "exact" else draws):
-        rng = np.random.default_rng([seed, STAGES.index(stage), draw])
+        rng = generator(seed, STAGES.index(stage), draw)
         chosen = select_models(disturbed(experiment, stage, rng), seed=seed)
         residual = chosen.model.predict(truth.inputs()) - truth.world
         selections.append(chosen)

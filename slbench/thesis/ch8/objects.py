@@ -9,6 +9,7 @@ from matplotlib.colors import LightSource
 from numpy.typing import NDArray
 
 from slbench.core.document import Cell, Cloud, Picture, Table
+from slbench.core.random import generator
 from slbench.thesis.ch8.views import Merged
 from slbench.thesis.outcome import Finding
 from slbench.thesis.pictures import new_figure, picture
@@ -194,7 +195,7 @@ def object_picture(result: Merged) -> Picture:
 def object_cloud(result: Merged, seed: int) -> Cloud:
     """Return a sample of the points for the page."""
     known = np.flatnonzero(np.isfinite(result.error_mm))
-    rng = np.random.default_rng(seed)
+    rng = generator(seed)
     if len(known) > _SHOWN_POINTS:
         known = np.sort(rng.choice(known, _SHOWN_POINTS, replace=False))
     return Cloud(

@@ -18,10 +18,10 @@ from slbench.calibration.models.model import CalibrationModel
 from slbench.cloud.registration import STAGE_SIGMA_MM
 from slbench.core.document import Cell, Picture, Table
 from slbench.core.errors import InputError
+from slbench.core.random import generator, tagged_seed
 from slbench.patterns import PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene
-from slbench.simulate.repeats import tagged_seed
 from slbench.simulate.scan import capture_stack
 from slbench.thesis.outcome import Finding
 from slbench.thesis.pictures import new_figure, picture
@@ -127,7 +127,7 @@ def _inputs(phase: PhaseMap, seed: int) -> Array:
     inputs = np.column_stack((u, v, phase.coordinate["u"][v, u])).astype(np.float64)
     if len(inputs) <= _PIXELS:
         return inputs
-    return inputs[np.random.default_rng(seed).choice(len(inputs), _PIXELS, replace=False)]
+    return inputs[generator(seed).choice(len(inputs), _PIXELS, replace=False)]
 
 
 def plane_fits(
@@ -178,7 +178,7 @@ def position_errors(
     true = np.array([position.stage_mm[2] for position in positions])
     rows = []
     for draw, model in enumerate(models):
-        rng = np.random.default_rng([seed, draw])
+        rng = generator(seed, draw)
         nominal = true - rng.normal(0.0, sigma_mm, len(true)) if sigma_mm > 0.0 else true
         fits = plane_fits(positions, model, way, to_model)
         rows.append([fit.height_mm for fit in fits] - nominal)

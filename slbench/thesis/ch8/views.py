@@ -22,10 +22,10 @@ from slbench.calibration.models.model import CalibrationModel
 from slbench.capture.stack import WeightSource
 from slbench.cloud.registration import Registration, register
 from slbench.core.errors import InputError
+from slbench.core.random import generator, tagged_seed
 from slbench.patterns import PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene
-from slbench.simulate.repeats import tagged_seed
 from slbench.simulate.scan import capture_stack
 
 Array = NDArray[np.float64]
@@ -293,7 +293,7 @@ def measure_object(
     seed : int
     on_progress : callable, optional
     """
-    rng = np.random.default_rng(tagged_seed(seed, 0))
+    rng = generator(tagged_seed(seed, 0))
     error = rng.normal(0.0, stage_sigma_mm, positions_mm.shape)
     views = []
     for k, stage in enumerate(positions_mm + error):

@@ -16,7 +16,7 @@ from slbench.scene.file import load_scene
 from slbench.simulate.expose import capture
 from slbench.simulate.render.groundtruth import ground_truth
 from slbench.simulate.render.trace import trace
-from slbench.simulate.repeats import plate_scene, repeated_phases, tagged_seed
+from slbench.simulate.repeats import plate_scene, repeated_phases
 
 REPEATS = 12
 
@@ -192,12 +192,6 @@ def test_pixels_that_are_not_always_measured_count_by_what_there_is():
     nothing = _spread(design, np.full((10, 3), np.nan), sigma[:, :3])
     assert (nothing.pixels, nothing.measured) == (3, 0.0)
     assert np.isnan([nothing.std_px, nothing.rms_px, nothing.expected_px]).all()
-
-
-def test_noise_and_scans_have_random_numbers_of_their_own(grainy):
-    tags = [(), (0,), (1,), (0, 0), (1, 0), (0, 1), (1, 1), (1, 0, 0), (2, 0, 0), (2, 0, 1)]
-    assert len({tagged_seed(3, *tag) for tag in tags}) == len(tags)
-    assert tagged_seed(3, 1, 2) == tagged_seed(3, 1, 2) != tagged_seed(4, 1, 2)
 
 
 def test_a_bound_on_order_errors_holds_where_the_single_step_breaks_it(grainy, grainy_noise):
