@@ -13,36 +13,28 @@ from typing import Annotated
 import typer
 
 from slbench import __version__
-from slbench.cli import (
-    artefacts,
-    bench,
-    calibrate,
-    calibration_run,
-    check,
-    compare,
-    dataset,
-    design,
-    fusing,
-    register,
-    scanning,
-    scenes,
-)
+from slbench.cli import bench, check, compare, fuse, register, scan
+from slbench.cli.calibrate import fit, run
 from slbench.cli.common import Json, new_app, print_json, print_table
+from slbench.cli.dataset import make
+from slbench.cli.design import rig
+from slbench.cli.objects import build
+from slbench.cli.scene import show
 from slbench.core.errors import InputError
 
 app = new_app("A physically based synthetic structured-light scanner and test bench.", "slbench")
-scanning.register(app)
-fusing.register(app)
+scan.register(app)
+fuse.register(app)
 check.register(app)
 compare.register(app)
 bench.register(app)
 register.register(app)
-app.add_typer(scenes.app, name="scene")
-app.add_typer(artefacts.app, name="objects")
-app.add_typer(design.app, name="design")
-app.add_typer(dataset.app, name="dataset")
-calibrate.app.command(epilog=f"Example: {calibration_run.EXAMPLE}")(calibration_run.run)
-app.add_typer(calibrate.app, name="calibrate")
+app.add_typer(show.app, name="scene")
+app.add_typer(build.app, name="objects")
+app.add_typer(rig.app, name="design")
+app.add_typer(make.app, name="dataset")
+fit.app.command(epilog=f"Example: {run.EXAMPLE}")(run.run)
+app.add_typer(fit.app, name="calibrate")
 
 # Typer carries its own copy of Click from 0.20 on; this is its usage error in every version.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]

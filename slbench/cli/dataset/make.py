@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from slbench.cli import dataset_export
 from slbench.cli.common import Json, Preview, Seed, new_app, print_json, print_table, progress
+from slbench.cli.dataset import export
 from slbench.core.errors import InputError
 
 app = new_app("Data sets of many scans: make, verify, describe, export.")
@@ -195,4 +195,4 @@ def _said(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-app.command(epilog=f"Example: {dataset_export.EXAMPLE}")(dataset_export.export)
+app.command(epilog=f"Example: {export.EXAMPLE}")(export.export)

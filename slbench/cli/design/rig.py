@@ -9,7 +9,6 @@ import numpy as np
 import typer
 from rich.table import Table
 
-from slbench.cli import patterns
 from slbench.cli.common import (
     Json,
     Seed,
@@ -19,6 +18,7 @@ from slbench.cli.common import (
     print_table,
     progress,
 )
+from slbench.cli.design import patterns
 from slbench.core import resources
 
 app = new_app("Design of structured-light systems: rigs and pattern sequences.")

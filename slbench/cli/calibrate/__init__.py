@@ -1,0 +1,1 @@
+"""``slbench calibrate``: calibrate by one model of all pixels, and measure with it."""

@@ -1,0 +1,1 @@
+"""``slbench dataset``: data sets of many scans."""

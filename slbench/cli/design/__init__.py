@@ -1,0 +1,1 @@
+"""``slbench design``: design of rigs and pattern sequences."""

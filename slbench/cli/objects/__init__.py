@@ -1,0 +1,1 @@
+"""``slbench objects``: artefacts with certified dimensions."""

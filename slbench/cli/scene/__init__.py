@@ -1,0 +1,1 @@
+"""``slbench scene``: shipped scenes, and pictures of any scene."""
