@@ -21,6 +21,12 @@ SceneName = Annotated[str, typer.Argument(help="A scene file, or the name of a s
 Preview = Annotated[
     bool, typer.Option("--preview", help="Fewer camera pixels and samples: seconds.")
 ]
+AllowModules = Annotated[
+    bool,
+    typer.Option(
+        "--allow-modules", help="Run the Python modules that the file names: its author's code."
+    ),
+]
 
 _messages = Console(stderr=True, highlight=False)
 

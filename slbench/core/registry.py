@@ -6,25 +6,30 @@ A registry is fed from three sides, and all are looked at only when a name is as
 - entry points of installed packages, in the group that the registry names;
 - modules that a scene or capture file names (``modules = ["my_codes.py"]``), which call
   :meth:`Registry.add` or decorate with :meth:`Registry.register`; they are run only where the
-  person at the keyboard says so (:func:`load_modules`), since files come from strangers.
+  person at the keyboard says so (:func:`slbench.core.modules.load_modules`), since files come
+  from strangers.
+
+A name stands for one thing: where two sides have it, it is refused when it is asked for.
 """
 
 from __future__ import annotations
 
 import difflib
-import hashlib
 import importlib
-import importlib.util
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
-from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from slbench.core.errors import InputError
-from slbench.core.resources import inside
 
 T = TypeVar("T")
+
+#: Names and versions of the installed packages of which something was used.
+_packages: dict[str, str] = {}
+#: Modules that are being run (:func:`adding`), the innermost last, and how to undo their rows.
+_adding: list[tuple[str, list[Callable[[], None]]]] = []
 
 
 class Registry(Generic[T]):
@@ -38,6 +43,9 @@ class Registry(Generic[T]):
         Entry-point group of installed packages: ``"slbench.codes"``.
     rows : mapping of str to str
         slbench's own, by dotted name: ``{"fringes": "slbench.patterns.fringes:Fringes"}``.
+    base : str, optional
+        Dotted name of the class that every row is an instance of, or a subclass of where rows
+        are classes: what comes from outside is checked by it.
 
     Examples
     --------
@@ -49,22 +57,33 @@ class Registry(Generic[T]):
     slbench.core.errors.InputError: number: expected pi, got 'pie'; did you mean 'pi'?
     """
 
-    def __init__(self, kind: str, group: str, rows: Mapping[str, str]) -> None:
+    def __init__(
+        self, kind: str, group: str, rows: Mapping[str, str], base: str | None = None
+    ) -> None:
         self.kind = kind
         self.group = group
         self._rows = dict(rows)
+        self._base = base
         self._found: dict[str, T] = {}
-        self._installed: dict[str, EntryPoint] | None = None
+        self._added: dict[str, str] = {}  # name to the module that added it
 
     def __contains__(self, name: object) -> bool:
-        return name in self._found or name in self._rows or name in self._entry_points()
+        return name in self._found or name in self._rows or name in self._points()
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.names())
 
     def names(self) -> list[str]:
         """Return all names: slbench's own in the order of their table, then the others."""
-        return list(dict.fromkeys([*self._rows, *sorted({*self._entry_points(), *self._found})]))
+        return list(dict.fromkeys([*self._rows, *sorted({*self._points(), *self._added})]))
+
+    def origin(self, name: str) -> str:
+        """Return where a name comes from: ``slbench``, a package and its version, or a module."""
+        if name in self._rows:
+            return "slbench"
+        if name in self._added:
+            return self._added[name]
+        return _package(self._points()[name][0])
 
     def get(self, name: object, where: str | None = None) -> T:
         """Return what a name stands for, importing it if need be.
@@ -78,7 +97,8 @@ class Registry(Generic[T]):
         Raises
         ------
         InputError
-            If there is no such name (the nearest one is named), or its package is broken.
+            If there is no such name (the nearest one is named), several packages have it, or
+            its package is broken.
         """
         if isinstance(name, str) and name in self:
             if name not in self._found:
@@ -89,15 +109,23 @@ class Registry(Generic[T]):
     def add(self, name: str, value: T) -> None:
         """Add a row from outside slbench.
 
+        A module that is run again after a change replaces its own rows.
+
         Raises
         ------
         InputError
-            If the name is taken by something else.
+            If the name is taken by something else, or the value is nothing of this kind.
         """
-        own = self._rows.get(name) or self._entry_points().get(name)
-        if own is not None or self._found.get(name, value) is not value:
-            raise InputError(f"{self.kind} {name!r}", "a name that is not taken", "a second one")
+        where = f"{self.kind} {name!r}"
+        origin, undo = _adding[-1] if _adding else ("a program", [])
+        if name in self._rows or name in self._points():
+            raise InputError(where, "a name that is not taken", f"one of {self.origin(name)}")
+        if self._found.get(name, value) is not value and self._added[name] != origin:
+            raise InputError(where, "a name that is not taken", f"one of {self._added[name]}")
+        self._check(value, where)
+        undo.append(partial(self._restore, name, self._found.get(name)))
         self._found[name] = value
+        self._added[name] = origin
 
     def register(self, name: str) -> Callable[[T], T]:
         """Return a decorator that adds what it decorates as `name`."""
@@ -108,20 +136,75 @@ class Registry(Generic[T]):
 
         return decorate
 
-    def _entry_points(self) -> dict[str, EntryPoint]:
-        if self._installed is None:
-            self._installed = {point.name: point for point in entry_points(group=self.group)}
-        return self._installed
+    def _restore(self, name: str, value: T | None) -> None:
+        if value is None:
+            del self._found[name], self._added[name]
+        else:
+            self._found[name] = value
+
+    def _points(self) -> Mapping[str, list[EntryPoint]]:
+        return _installed(self.group)
 
     def _imported(self, name: str) -> T:
+        where = f"{self.kind} {name!r}"
+        points = self._points().get(name, [])
+        owners = ["slbench"] * (name in self._rows) + [_package(point) for point in points]
+        if len(owners) > 1:
+            raise InputError(where, "a name that one package has", " and ".join(owners))
         if name in self._rows:
             return resolved(self._rows[name])
-        point = self._entry_points()[name]
+        (point,) = points
+        where = f"{where} of {_package(point)}"
         try:
-            return point.load()
+            value = point.load()
         except Exception as error:  # foreign code may fail in any way
-            where = f"{self.kind} {name!r}"
             raise InputError(where, f"{point.value} to be importable", repr(error)) from error
+        self._check(value, where)
+        if point.dist is not None:
+            _packages[point.dist.name] = point.dist.version
+        return value
+
+    def _check(self, value: Any, where: str) -> None:
+        if self._base is None:
+            return
+        base = resolved(self._base)
+        if not (isinstance(value, base) or (isinstance(value, type) and issubclass(value, base))):
+            got = value.__name__ if isinstance(value, type) else type(value).__name__
+            raise InputError(where, f"a {self._base.replace(':', '.')}", got)
+
+
+@contextmanager
+def adding(origin: str) -> Iterator[None]:
+    """Name who adds rows meanwhile; none of them stays where that fails."""
+    undo: list[Callable[[], None]] = []
+    _adding.append((origin, undo))
+    try:
+        yield
+    except BaseException:
+        for step in reversed(undo):
+            step()
+        raise
+    finally:
+        _adding.pop()
+
+
+@cache
+def _installed(group: str) -> Mapping[str, list[EntryPoint]]:
+    """Return the entry points of a group by name, found once a process (7 ms)."""
+    found: dict[str, list[EntryPoint]] = {}
+    for point in entry_points(group=group):
+        found.setdefault(point.name, []).append(point)
+    return found
+
+
+def _package(point: EntryPoint) -> str:
+    """Return the package of an entry point and its version, for messages."""
+    return f"{point.dist.name} {point.dist.version}" if point.dist else point.value
+
+
+def used_packages() -> dict[str, str]:
+    """Return the installed packages that rows were taken from in this process, with versions."""
+    return dict(_packages)
 
 
 def resolved(dotted: str) -> Any:
@@ -140,50 +223,3 @@ def quoted(name: object, names: Sequence[str]) -> str:
     """Return an unknown name for a message, with the nearest known one where there is one."""
     near = nearest(name, names)
     return repr(name) if near is None else f"{name!r}; did you mean {near!r}?"
-
-
-def load_modules(paths: Sequence[str], folder: str | Path, allowed: bool, where: str) -> None:
-    """Run the modules that a file names, so that they add what they have to the registries.
-
-    Parameters
-    ----------
-    paths : sequence of str
-        Python files, relative to `folder` and inside it.
-    folder : path
-        Of the file that names them.
-    allowed : bool
-        Whether the person running this said so.
-    where : str
-        The file and key, for messages.
-
-    Raises
-    ------
-    InputError
-        If they are not allowed, missing, or fail.  A module that was run before (the same
-        content) is not run again.
-    """
-    if paths and not allowed:
-        raise InputError(
-            where, "--allow-modules, as this runs code of the file's author", ", ".join(paths)
-        )
-    for name in paths:
-        path = inside(folder, name)
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise InputError(where, "a Python file beside this one", f"{name} ({error})") from error
-        module = f"_slbench_{path.stem}_{hashlib.sha256(content).hexdigest()[:16]}"
-        if module in sys.modules:
-            continue
-        spec = importlib.util.spec_from_file_location(module, path)
-        if spec is None or spec.loader is None:
-            raise InputError(where, "a Python file (.py)", name)
-        loaded = importlib.util.module_from_spec(spec)
-        sys.modules[module] = loaded
-        try:
-            spec.loader.exec_module(loaded)
-        except BaseException as error:  # whatever the file does, no half of it stays
-            del sys.modules[module]
-            if not isinstance(error, Exception):
-                raise
-            raise InputError(f"{where}: {name}", "a module that runs", repr(error)) from error

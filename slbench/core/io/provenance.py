@@ -9,6 +9,8 @@ from typing import Any
 
 import slbench
 from slbench.core.io.text import write_json
+from slbench.core.modules import used_modules
+from slbench.core.registry import used_packages
 
 #: Distributions whose versions decide a result; recorded in every ``provenance.json``.
 PROVENANCE_LIBRARIES = (
@@ -43,7 +45,9 @@ def provenance(parameters: Mapping[str, Any], seed: int | None) -> dict[str, Any
     Returns
     -------
     dict
-        Keys ``slbench, seed, parameters, python, libraries, platform, time_utc``.
+        Keys ``slbench, seed, parameters, python, libraries, extensions, platform, time_utc``;
+        extensions are the packages and modules beside slbench that rows of registries came
+        from in this process.
     """
     versions: dict[str, str | None] = {}
     for name in PROVENANCE_LIBRARIES:
@@ -57,6 +61,7 @@ def provenance(parameters: Mapping[str, Any], seed: int | None) -> dict[str, Any
         "parameters": dict(parameters),
         "python": platform.python_version(),
         "libraries": versions,
+        "extensions": {"packages": used_packages(), "modules": used_modules()},
         "platform": platform.platform(),
         "time_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
