@@ -120,7 +120,7 @@ def apply(
     as_json: Json = False,
 ) -> None:
     """Decode frames and turn every pixel into a point by a calibration model."""
-    from slbench.calibration.measure import measure
+    from slbench.calibration.apply import measure
     from slbench.calibration.models.model import CalibrationModel
     from slbench.capture.capture import Capture
     from slbench.core.io import write_ply

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from calibration_data import rig_points
 
-from slbench.calibration.measure import measure
+from slbench.calibration.apply import measure
 from slbench.calibration.models.domain import Domain
 from slbench.calibration.models.model import CalibrationModel
 from slbench.calibration.models.points import COLUMNS, CalibrationPoints
