@@ -66,7 +66,7 @@ def register_views(
         raise InputError(positions, expected, len(nominal))
     views = [read_ply(path)[0] for path in paths]
     with progress(as_json) as report:
-        found = registration.register(
+        found = registration.register_views(
             views,
             nominal,
             stage_sigma_mm=1e-3 * stage_um,

@@ -9,7 +9,7 @@ from slbench.cloud.registration.graph import (
     STAGE_SIGMA_RAD,
     Overlap,
     Registration,
-    register,
+    register_views,
 )
 
-__all__ = ["STAGE_SIGMA_MM", "STAGE_SIGMA_RAD", "Overlap", "Registration", "register"]
+__all__ = ["STAGE_SIGMA_MM", "STAGE_SIGMA_RAD", "Overlap", "Registration", "register_views"]

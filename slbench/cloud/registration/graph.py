@@ -152,7 +152,7 @@ class Registration:
         }
 
 
-def register(
+def register_views(
     clouds: Sequence[ArrayLike],
     positions_mm: ArrayLike,
     *,

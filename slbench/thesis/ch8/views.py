@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from slbench.calibration.models.model import CalibrationModel
 from slbench.capture.stack import WeightSource
-from slbench.cloud.registration import Registration, register
+from slbench.cloud.registration import Registration, register_views
 from slbench.core.errors import InputError
 from slbench.core.random import generator, tagged_seed
 from slbench.patterns import PhaseMap
@@ -301,7 +301,7 @@ def measure_object(
         views.append(measure_view(scene, stage, model, to_model, weights=weights, seed=own))
         if on_progress:
             on_progress((k + 1) / (len(positions_mm) + 1))
-    registration = register(
+    registration = register_views(
         [view.points for view in views], positions_mm, stage_sigma_mm=stage_sigma_mm
     )
     if on_progress:

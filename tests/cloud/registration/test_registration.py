@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from stage_views import NOISE_MM, stage_views
 
-from slbench.cloud.registration import STAGE_SIGMA_MM, register
+from slbench.cloud.registration import STAGE_SIGMA_MM, register_views
 from slbench.core.errors import InputError
 
 #: How far a direction that no overlap knows may move, in deviations of the stage.
@@ -32,7 +32,7 @@ def views():
 
 @pytest.fixture(scope="module")
 def found(views):
-    return register(views.clouds, views.positions)
+    return register_views(views.clouds, views.positions)
 
 
 class TestKnownPoses:
@@ -72,15 +72,15 @@ class TestKnownPoses:
         assert np.std(error) < 1.2 * NOISE_MM
 
     def test_same_input_same_bits(self, found, views):
-        again = register(views.clouds, views.positions)
+        again = register_views(views.clouds, views.positions)
         assert np.array_equal(again.shifts_mm, found.shifts_mm)
 
 
 def test_units_do_not_matter():
     # The same object a thousand times as large: what ICP sees is in units of the view.
     views = stage_views("rough", 2, seed=2, count=20_000)
-    small = register(views.clouds, views.positions)
-    large = register(
+    small = register_views(views.clouds, views.positions)
+    large = register_views(
         [1e3 * cloud for cloud in views.clouds],
         1e3 * views.positions,
         stage_sigma_mm=1e3 * STAGE_SIGMA_MM,
@@ -93,14 +93,14 @@ def test_views_far_from_the_origin():
     # 500 mm away, where 60 nm are 1e-7 of a coordinate.
     views = stage_views("rough", 2, seed=2, count=20_000)
     away = np.array([300.0, -400.0, 50.0])
-    near = register(views.clouds, views.positions)
-    far = register([cloud + away for cloud in views.clouds], views.positions)
+    near = register_views(views.clouds, views.positions)
+    far = register_views([cloud + away for cloud in views.clouds], views.positions)
     np.testing.assert_allclose(far.shifts_mm, near.shifts_mm, atol=2e-5)
 
 
 def test_outliers_do_not_matter():
     views = stage_views("rough", 4, seed=1, outliers=0.02)
-    found = register(views.clouds, views.positions)
+    found = register_views(views.clouds, views.positions)
     # As without them.
     after = rms(displacements(found, views))
     assert np.all(after < [2.5e-4, 2.5e-4, 1e-5])
@@ -110,7 +110,7 @@ def test_a_tipped_view_is_turned_back():
     views = stage_views("rough", 2, seed=3, count=20_000)
     turn = Rotation.from_rotvec([3e-4, -2e-4, 0.0]).as_matrix()
     clouds = [views.clouds[0], views.clouds[1] @ turn.T]
-    found = register(clouds, views.positions, stage_sigma_rad=3e-4)
+    found = register_views(clouds, views.positions, stage_sigma_rad=3e-4)
     between = found.turns_rad[1] - found.turns_rad[0]
     # Noise of the slope over 0.3 mm: far below; the prior pulls by less than 1 %.
     np.testing.assert_allclose(between[:2], [-3e-4, 2e-4], atol=1e-5)
@@ -122,7 +122,7 @@ class TestPlane:
     @pytest.mark.parametrize("outliers", [0.0, 0.02])
     def test_shifts_within_it_stay(self, outliers):
         views = stage_views("plane", 4, seed=2, outliers=outliers)
-        found = register(views.clouds, views.positions)
+        found = register_views(views.clouds, views.positions)
         assert {overlap.observable for overlap in found.overlaps} == {3}
         # ICP alone slides by micrometres.  What is left: noise of the normals ties a shift to
         # a tilt, which the overlaps know to 1e-6 rad; for views of 0.6 mm that is worth 1/5
@@ -133,12 +133,12 @@ class TestPlane:
 
     def test_their_deviation_is_the_stages(self):
         views = stage_views("plane", 2, seed=4, count=20_000)
-        found = register(views.clouds, views.positions)
+        found = register_views(views.clouds, views.positions)
         np.testing.assert_allclose(found.sd_mm[:, :2], STAGE_SIGMA_MM, rtol=0.05)
 
     def test_a_groove_is_fixed_across_and_slides_along(self):
         views = stage_views("groove", 3, seed=5)
-        found = register(views.clouds, views.positions)
+        found = register_views(views.clouds, views.positions)
         after = rms(displacements(found, views))
         before = rms(views.errors - views.errors.mean(axis=0))
         # Flanks of 45 deg cross x: the positions there are known, those along y are not.
@@ -150,8 +150,8 @@ class TestPlane:
 @given(st.integers(10, 10_000))
 def test_a_worse_stage_is_trusted_less(seed):
     views = stage_views("rough", 2, seed=seed, count=12_000)
-    sure = register(views.clouds, views.positions, stage_sigma_mm=1e-5)
-    unsure = register(views.clouds, views.positions, stage_sigma_mm=2e-3)
+    sure = register_views(views.clouds, views.positions, stage_sigma_mm=1e-5)
+    unsure = register_views(views.clouds, views.positions, stage_sigma_mm=2e-3)
     assert np.abs(sure.shifts_mm).max() <= np.abs(unsure.shifts_mm).max() + 1e-6
 
 
@@ -159,7 +159,7 @@ class TestWithoutNoise:
     """Residuals of zero are as good as single precision, not perfect."""
 
     def register(self, cloud, **options):
-        return register([cloud, cloud], np.zeros((2, 3)), **options)
+        return register_views([cloud, cloud], np.zeros((2, 3)), **options)
 
     @pytest.mark.parametrize("kind", ["rough", "plane"])
     @pytest.mark.parametrize("size", [1.0, 1e3])
@@ -187,7 +187,7 @@ class TestBadInput:
 
     def refuse(self, words, clouds, positions, **options):
         with pytest.raises(InputError) as caught:
-            register(clouds, positions, **options)
+            register_views(clouds, positions, **options)
         assert words in str(caught.value)
 
     def test_one_view(self):
@@ -234,6 +234,6 @@ class TestBadInput:
 
     def test_merge_of_other_views(self):
         views = stage_views("rough", 2, seed=1, count=6000)
-        found = register(views.clouds, views.positions)
+        found = register_views(views.clouds, views.positions)
         with pytest.raises(InputError, match="2 views"):
             found.merge(views.clouds[:1])

@@ -7,7 +7,7 @@ import pytest
 from stage_views import NOISE_MM, stage_views
 
 from slbench.calibration.models.points import CalibrationPoints
-from slbench.cloud.registration import register
+from slbench.cloud.registration import register_views
 from slbench.core.errors import InputError
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.scene.file import load_scene
@@ -203,7 +203,7 @@ class TestModels:
 def known():
     """Known views in place of measured ones."""
     views = stage_views("rough", 2, seed=3)
-    registration = register(views.clouds, views.positions)
+    registration = register_views(views.clouds, views.positions)
     true = views.positions + views.errors
     measured = []
     for cloud, stage in zip(views.clouds, true, strict=True):
