@@ -212,6 +212,14 @@ class Capture:
             raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
 
 
+def read_capture(folder: str | Path) -> Capture:
+    """Read a folder of frames with its ``capture.toml``, simulated or photographed.
+
+    The function of :meth:`Capture.load`, which says what is raised.
+    """
+    return Capture.load(folder)
+
+
 def _check_sizes(rig: Rig, frames: tuple[int, ...], panel: tuple[int, int]) -> None:
     camera, projector = rig.camera, rig.projector
     if frames[1:] != (camera.height, camera.width):

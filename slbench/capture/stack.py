@@ -242,6 +242,14 @@ class FocusStack:
         return cls(captures, _focus(path, manifest), captures.frame)
 
 
+def read_stack(folder: str | Path) -> FocusStack:
+    """Open a folder of captures with its ``stack.toml``.
+
+    The function of :meth:`FocusStack.load`, which says what is raised.
+    """
+    return FocusStack.load(folder)
+
+
 class _Folders(Sequence[Capture]):
     """Captures on disk, alike by their manifests; the first is kept."""
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.claims.file import Claim
+from slbench.bench.claims.file import Claim, load_claims
 from slbench.bench.claims.pools import Pools
 from slbench.bench.claims.verdicts import MAX_REPEATS, Verdict, judge_each, judge_mean
 from slbench.bench.statistics import Interval
@@ -128,6 +129,43 @@ class Result:
             "regression": None if self.regression is None else vars(self.regression),
             "seconds": self.seconds,
         }
+
+
+def check(
+    path: str | Path,
+    *,
+    seed: int = 0,
+    preview: bool = False,
+    on_progress: Callable[[str, float], None] | None = None,
+) -> list[Result]:
+    """Measure what a claims file claims, and judge it.
+
+    Parameters
+    ----------
+    path : path
+        TOML with ``[[claim]]`` tables.
+    seed : int
+        Of all light and noise.
+    preview : bool
+        Measure all scenes with few pixels and samples, whatever the claims say.
+    on_progress : callable, optional
+        Called with the name of the scene and the finished fraction of its repeats.
+
+    Returns
+    -------
+    list of Result
+        In the order of the file.
+
+    Raises
+    ------
+    InputError
+        Naming the claim, for a file that cannot be used or a scene that cannot be measured.
+    """
+    claims = load_claims(path, preview=preview)
+    pools = Pools(seed, on_progress)
+    for claim in claims:  # a mistake is found before anything is measured
+        pools.check(claim)
+    return [check_claim(claim, pools) for claim in claims]
 
 
 def check_claim(claim: Claim, pools: Pools) -> Result:
