@@ -1,1 +1,5 @@
 """Captures: frames and what was projected; focus stacks and their fusion."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

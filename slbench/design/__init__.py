@@ -13,3 +13,7 @@ bound on order errors; :mod:`~slbench.simulate.repeats` and :mod:`~slbench.desig
 designs to the test on simulated scans, :mod:`~slbench.design.fringes.characterise` maps the noise
 through a volume, and :mod:`~slbench.report.plots.fringe_design` draws.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Scenes: rig, objects, materials, light, detector and patterns of one measurement."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,1 +1,5 @@
 """Direct MultiSearch, fronts and clusters; nothing here knows of rigs."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

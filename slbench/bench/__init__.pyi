@@ -1,0 +1,10 @@
+"""The public names of :mod:`slbench.bench` and where they are defined."""
+
+from . import claims as claims
+from .claims.check import Result as Result
+from .claims.check import check_claim as check_claim
+from .claims.file import Claim as Claim
+from .claims.file import load_claims as load_claims
+from .claims.pools import Pools as Pools
+from .compare.comparison import Comparison as Comparison
+from .compare.comparison import SetResult as SetResult

@@ -1,0 +1,12 @@
+"""The public names of :mod:`slbench.calibration` and where they are defined."""
+
+from .apply import CalibratedCloud as CalibratedCloud
+from .apply import measure as measure
+from .models.model import CalibrationModel as CalibrationModel
+from .models.points import CalibrationPoints as CalibrationPoints
+from .selection import Selection as Selection
+from .selection import select_models as select_models
+from .target.detect import Dots as Dots
+from .target.detect import detect_dots as detect_dots
+from .target.remap import PanelPoints as PanelPoints
+from .target.remap import remap as remap

@@ -1,0 +1,7 @@
+"""The public names of :mod:`slbench.cloud` and where they are defined."""
+
+from . import registration as registration
+from .registration.graph import Registration as Registration
+from .registration.graph import register_views as register_views
+from .triangulation import PointCloud as PointCloud
+from .triangulation import triangulate as triangulate

@@ -1,0 +1,10 @@
+"""The public names of :mod:`slbench.scene` and where they are defined."""
+
+from .file import load_scene as load_scene
+from .materials import Material as Material
+from .model import Exposure as Exposure
+from .model import Light as Light
+from .model import Scene as Scene
+from .model import SceneObject as SceneObject
+from .truth import GroundTruth as GroundTruth
+from .truth import Status as Status
