@@ -1,93 +1,117 @@
 """The command line.
 
 Each command reads like the sentence it is: load, do, write, print.  Results go to stdout (a
-table, or with ``--json`` one JSON object at its end), everything else to stderr.  Exit status:
-0 success, 1 a check failed, 2 bad input, in one line.
+table, or with ``--json`` one JSON object at its end), everything else to stderr.
+
+A command is a file, a group of them a folder; each is imported when it is run.  Exit status:
+0 success, 1 a check failed, 2 bad input, 3 undecided, 70 a fault of slbench's own,
+130 interrupted.
 """
 
 from __future__ import annotations
 
 import sys
+import traceback
 from typing import Annotated
 
 import typer
 
 from slbench import __version__
-from slbench.cli import bench, check, compare, fuse, register, scan
-from slbench.cli.calibrate import fit, run
-from slbench.cli.common import Json, new_app, print_json, print_table
-from slbench.cli.dataset import make
-from slbench.cli.design import rig
-from slbench.cli.objects import build
-from slbench.cli.scene import show
+from slbench.cli.lazy import Group, command
 from slbench.core.errors import InputError
 
-app = new_app("A physically based synthetic structured-light scanner and test bench.", "slbench")
-scan.register(app)
-fuse.register(app)
-check.register(app)
-compare.register(app)
-bench.register(app)
-register.register(app)
-app.add_typer(show.app, name="scene")
-app.add_typer(build.app, name="objects")
-app.add_typer(rig.app, name="design")
-app.add_typer(make.app, name="dataset")
-fit.app.command(epilog=f"Example: {run.EXAMPLE}")(run.run)
-app.add_typer(fit.app, name="calibrate")
+BAD_INPUT, FAULT, INTERRUPTED = 2, 70, 130
+
+SECTIONS = {
+    "Measure": {
+        "scan": "slbench.cli.scan:scan",
+        "decode": "slbench.cli.decode:decode",
+        "fuse": "slbench.cli.fuse:fuse",
+        "register": "slbench.cli.register:register_views",
+        "calibrate": "slbench.cli.calibrate:group",
+    },
+    "Judge": {
+        "compare": "slbench.cli.compare:compare",
+        "check": "slbench.cli.check:check",
+        "bench": "slbench.cli.bench:bench",
+    },
+    "Design and make": {
+        "design": "slbench.cli.design:group",
+        "dataset": "slbench.cli.dataset:group",
+    },
+    "Inspect": {
+        "scene": "slbench.cli.scene:group",
+        "objects": "slbench.cli.objects:group",
+        "export": "slbench.cli.scene.export:export",
+        "doctor": "slbench.cli.doctor:doctor",
+    },
+}
 
 # Typer carries its own copy of Click from 0.20 on; this is its usage error in every version.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 
 
-def main() -> None:
-    """Run the command line and exit."""
-    try:
-        status = app(standalone_mode=False)
-    except InputError as error:
-        status = _refuse(str(error))
-    except _UsageError as error:
-        status = _refuse(error.format_message())  # type: ignore[attr-defined]
-    except MemoryError as error:
-        status = _refuse(f"memory: expected enough for this scene, got {error}")
-    except OSError as error:  # a full disk, a folder without permission
-        if isinstance(error, BrokenPipeError):
-            status = 0
-        else:
-            status = _refuse(f"{error.filename or 'file'}: expected to read or write, got {error}")
-    except (typer.Abort, KeyboardInterrupt):
-        status = 130
-    sys.exit(status if isinstance(status, int) else 0)
-
-
-def _refuse(message: str) -> int:
-    print("error: " + " ".join(message.split()), file=sys.stderr)
-    return 2
-
-
-def _version(value: bool) -> None:
+def _print_version(value: bool) -> None:
     if value:
         print(__version__)
         raise typer.Exit
 
 
-@app.callback()
+@command("slbench --version")
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Show the traceback of an error; with any command.")
     ] = False,
 ) -> None:
-    pass
+    """Hold the options of slbench itself."""
 
 
-@app.command(epilog="Example: slbench doctor --json")
-def doctor(as_json: Json = False) -> None:
-    """Check the installation: versions, backend, LLVM, GPU, and a test render."""
-    from slbench.simulate.doctor import diagnose, exit_status, report
+app = Group(
+    "slbench",
+    "A physically based synthetic structured-light scanner and test bench.",
+    SECTIONS,
+    _options,
+)
 
-    diagnosis = diagnose()
-    if as_json:
-        print_json(diagnosis)
-    else:
-        print_table(report(diagnosis))
-    raise typer.Exit(exit_status(diagnosis))
+
+def main() -> None:
+    """Run the command line and exit."""
+    # Wherever it stands: who sees an error puts it at the end of the line.
+    arguments = [word for word in sys.argv[1:] if word != "--debug"]
+    debug = len(arguments) < len(sys.argv) - 1
+    try:
+        status = app.main(arguments, prog_name="slbench", standalone_mode=False)
+    except (typer.Abort, KeyboardInterrupt):
+        status = INTERRUPTED
+    except BrokenPipeError:  # whoever read the output has enough
+        status = 0
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        status, message = _explained(error)
+        print("error: " + " ".join(message.split()), file=sys.stderr)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _explained(error: Exception) -> tuple[int, str]:
+    """Return the exit status of an error, and what the user reads."""
+    if isinstance(error, InputError):
+        return BAD_INPUT, str(error)
+    if isinstance(error, _UsageError):
+        return BAD_INPUT, error.format_message()  # type: ignore[attr-defined]
+    if isinstance(error, MemoryError):
+        return BAD_INPUT, f"memory: expected enough for this scene, got {error}"
+    if isinstance(error, OSError):  # a full disk, a folder without permission
+        where = error.filename or "file"
+        return BAD_INPUT, f"{where}: expected to read or write, got {error}"
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return FAULT, (
+        f"a fault of slbench's own, not of the input: {error!r} at {last.filename}:{last.lineno}; "
+        "--debug shows how it came there"
+    )

@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 from slbench.cli.common import Json, Seed, check_folder, print_json, print_table, progress
+from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.registry import resolved
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from slbench.core.document import Page
     from slbench.thesis.outcome import Outcome
 
-EXAMPLE = "slbench bench ch7 --preview --out out/bench --report out/bench/ch7.html"
 
-#: Chapters, in order; each is a module of :mod:`slbench.bench` with a function ``run_...``.
+#: Chapters, in order; each is a folder of :mod:`slbench.thesis`.
 CHAPTERS = ("ch6", "ch7", "ch8")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to `app`."""
-    app.command(epilog=f"Example: {EXAMPLE}")(bench)
-
-
+@command("slbench bench ch7 --preview --out out/bench --report out/bench/ch7.html")
 def bench(
     chapter: Annotated[str, typer.Argument(help="Chapter of the thesis: ch6, ch7, ch8 or all.")],
     out: Annotated[
@@ -45,7 +42,7 @@ def bench(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Re-run the experiments of a chapter, and judge each finding of the thesis."""
+    """Re-run the experiments of the thesis; judge its findings."""
     from slbench.thesis.outcome import write_outcome
 
     if chapter not in (*CHAPTERS, "all"):
@@ -82,9 +79,7 @@ def bench(
 
 def runner(chapter: str) -> Callable[..., Outcome]:
     """Return the function that runs a chapter; its module is imported now."""
-    run: Callable[..., Outcome] = getattr(
-        import_module(f"slbench.bench.{chapter}"), f"run_{chapter}"
-    )
+    run: Callable[..., Outcome] = resolved(f"slbench.thesis.{chapter}.experiment:run_{chapter}")
     return run
 
 
@@ -121,6 +116,8 @@ def _findings(outcome: Outcome) -> Table:
     In one of 80 columns verdicts and numbers stay whole; names stand as words, to be broken
     between them.
     """
+    from rich.table import Table
+
     title = outcome.title + (", preview" if outcome.preview else "")
     # No space beside the lines: seven columns take what 80 have.
     table = Table(title=title, padding=0)

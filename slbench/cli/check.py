@@ -9,24 +9,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
-from rich.text import Text
 
 from slbench.cli.common import Json, Preview, Seed, print_json, print_table, progress
+from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from slbench.bench.claims.check import Result
 
 _STYLES = {"holds": "green", "fails": "red", "regressed": "red", "undecided": "yellow"}
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to `app`."""
-    example = "slbench check accuracy.claims.toml --junit report.xml"
-    app.command(epilog=f"Example: {example}")(check)
-
-
+@command("slbench check accuracy.claims.toml --junit report.xml")
 def check(
     claims: Annotated[Path, typer.Argument(help="A claims file (TOML with [[claim]] tables).")],
     junit: Annotated[Path | None, typer.Option(help="JUnit XML to write, for CI servers.")] = None,
@@ -43,7 +39,10 @@ def check(
     preview: Preview = False,
     as_json: Json = False,
 ) -> None:
-    """Measure what a claims file claims: exit 0 all hold, 1 one fails, 3 one is undecided."""
+    """Check the claims of a file against measurements.
+
+    Exit status: 0 all hold, 1 one fails, 3 one is undecided.
+    """
     from slbench.bench.claims.baseline import (
         Baseline,
         check_fit,
@@ -144,6 +143,9 @@ def _summary(
 
 
 def _table(path: Path, results: list[Result]) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
     from slbench.bench.claims.check import spread
 
     table = Table(title=path.name)

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from slbench.core.errors import InputError
-from slbench.core.io import plain
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random draw.")]
+DatasetName = Annotated[str, typer.Argument(help="A data set: a folder or a URL.")]
 SceneName = Annotated[str, typer.Argument(help="A scene file, or the name of a shipped scene.")]
 Preview = Annotated[
     bool, typer.Option("--preview", help="Fewer camera pixels and samples: seconds.")
@@ -28,20 +27,6 @@ AllowModules = Annotated[
     ),
 ]
 
-_messages = Console(stderr=True, highlight=False)
-
-
-def new_app(help_text: str, name: str | None = None) -> typer.Typer:
-    """Return an empty command group with the settings that all have."""
-    return typer.Typer(
-        name=name,
-        help=help_text,
-        no_args_is_help=True,
-        add_completion=False,
-        pretty_exceptions_enable=False,
-        rich_markup_mode=None,
-    )
-
 
 def check_folder(path: Path) -> None:
     """Refuse a folder to write to that is a file, before the work that fills it is done."""
@@ -50,14 +35,24 @@ def check_folder(path: Path) -> None:
         raise InputError("--out", "a folder", f"{there}, a file")
 
 
+def check_file(path: Path, suffix: str) -> None:
+    """Refuse a file to write of another kind, or a folder, before the work is done."""
+    if path.suffix.lower() != suffix or path.is_dir():
+        raise InputError("--out", f"the name of a file that ends in {suffix}", path)
+
+
 @contextmanager
 def progress(quiet: bool) -> Iterator[Any]:
     """Yield a callback (stage, fraction, note) that draws a bar on a terminal, or None."""
-    if quiet or not _messages.is_terminal:
+    if quiet or not sys.stderr.isatty():
         yield None
         return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
     columns = (TextColumn("{task.description:>12}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=_messages, transient=True) as bars:
+    console = Console(stderr=True, highlight=False)
+    with Progress(*columns, console=console, transient=True) as bars:
         tasks: dict[str, Any] = {}
 
         def report(stage: str, fraction: float, note: str = "") -> None:
@@ -70,9 +65,13 @@ def progress(quiet: bool) -> Iterator[Any]:
 
 def print_json(values: Any) -> None:
     """Print one JSON document; NaN becomes null."""
+    from slbench.core.io import plain
+
     print(json.dumps(plain(values), ensure_ascii=False, allow_nan=False))
 
 
 def print_table(table: Any) -> None:
     """Print a rich table or group."""
+    from rich.console import Console
+
     Console(highlight=False).print(table)

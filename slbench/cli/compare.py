@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from slbench.cli.common import (
     Json,
@@ -18,19 +17,16 @@ from slbench.cli.common import (
     print_table,
     progress,
 )
+from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
     from slbench.bench.compare.comparison import Comparison
 
-EXAMPLE = "slbench compare step-block --set 1,10,50 --set 1,2,4 --set gray --repeats 15 --preview"
 
-
-def register(app: typer.Typer) -> None:
-    """Add the command to `app`."""
-    app.command(epilog=f"Example: {EXAMPLE}")(compare)
-
-
+@command("slbench compare step-block --set 1,10,50 --set 1,2,4 --set gray --repeats 15 --preview")
 def compare(
     scene: SceneName,
     sets: Annotated[
@@ -55,7 +51,7 @@ def compare(
     preview: Preview = False,
     as_json: Json = False,
 ) -> None:
-    """Compare pattern sets on a scene: repeated scans in the same light."""
+    """Compare pattern sets by repeated scans in the same light."""
     from slbench.bench.compare.compare import compare as run
     from slbench.bench.compare.compare import own_shifts
     from slbench.bench.compare.sets import pattern_sets
@@ -102,6 +98,8 @@ def compare(
 
 def _table(result: Comparison) -> Table:
     """Lay the sets out for a terminal: a column a set."""
+    from rich.table import Table
+
     from slbench.report.pages.compare import tables
 
     sets = tables(result)[0]

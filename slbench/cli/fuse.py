@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from rich.table import Table
 
 from slbench.cli.common import Json, check_folder, print_json, print_table, progress
+from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-from slbench.core.io import atomic_folder, write_exr, write_png
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 METHODS = ("saf", "maximum", "pyramid")
 ALIGNMENTS = ("none", "translation", "affine", "homography")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to `app`."""
-    app.command(epilog="Example: slbench fuse photographs --out fused.png --align affine")(fuse)
-
-
+@command("slbench fuse photographs --out fused.png --align affine")
 def fuse(
     folder: Annotated[
         Path,
@@ -48,7 +45,7 @@ def fuse(
     window: Annotated[int, typer.Option(help="Window of the measure, pixels, odd.")] = 9,
     as_json: Json = False,
 ) -> None:
-    """Fuse photographs taken at different focus into one that is in focus everywhere.
+    """Fuse photographs of different focus into one all in focus.
 
     Beside the image: FILE-depth.exr, the frame in focus at each pixel, counted from 0, and
     FILE-selectivity.exr, how clearly it is, dB (not for pyramid).
@@ -56,8 +53,11 @@ def fuse(
     A focus stack of captures (a folder with a stack.toml, as slbench scan writes it) becomes one
     capture: every pattern is fused with the weights of the lit frames.
     """
+    import numpy as np
+
     from slbench.capture.fusion import Photographs
     from slbench.capture.stack import MANIFEST
+    from slbench.core.io import atomic_folder, write_exr, write_png
 
     if (folder / MANIFEST).exists():
         _fuse_stack(folder, out, method, measure, align, variant, window, as_json)
@@ -107,8 +107,11 @@ def _fuse_stack(
     as_json: bool,
 ) -> None:
     """Fuse a stack of captures into one, with the maps of the weights beside it."""
+    import numpy as np
+
     from slbench.capture import fusion
     from slbench.capture.stack import FocusStack, modulation_weights
+    from slbench.core.io import atomic_folder, write_exr
 
     if method != "modulation":
         _check_choices(method, align, measure, variant, window)
@@ -195,6 +198,8 @@ def _fused(
 
     `grey` gives the alignment and the weights, `stack` the frames that are fused.
     """
+    import numpy as np
+
     from slbench.capture import fusion
 
     summary: dict[str, Any] = {}
@@ -234,6 +239,9 @@ def _weights(grey: Any, method: str, measure: str, variant: str, window: int, re
 
 def _table(result: dict[str, Any]) -> Table:
     """Lay the summary out for people."""
+    import numpy as np
+    from rich.table import Table
+
     table = Table(title=f"{result['frames']} photographs fused: {result['method']}")
     table.add_column("quantity")
     table.add_column("value", justify="right")

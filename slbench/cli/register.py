@@ -6,30 +6,19 @@ import re
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
-from rich.table import Table
 
 from slbench.cli.common import Json, check_folder, print_json, print_table, progress
+from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-from slbench.core.io import (
-    atomic_folder,
-    read_ply,
-    read_table,
-    write_json,
-    write_ply,
-    write_provenance,
-)
 
-EXAMPLE = "slbench register view1.ply view2.ply view3.ply --positions stage.csv --out out/merged"
 COLUMNS = ("x_mm", "y_mm", "z_mm")
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command to `app`."""
-    app.command("register", epilog=f"Example: {EXAMPLE}")(register_views)
-
-
+@command(
+    "slbench register view1.ply view2.ply view3.ply --positions stage.csv --out out/merged",
+    name="register",
+)
 def register_views(
     clouds: Annotated[
         list[Path], typer.Argument(help="PLY files of the views, or one folder of them.")
@@ -50,8 +39,22 @@ def register_views(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Register views of one object, measured or simulated, and merge them."""
+    """Register views of one object and merge them.
+
+    The views may be measured or simulated.
+    """
+    import numpy as np
+    from rich.table import Table
+
     from slbench.cloud import registration
+    from slbench.core.io import (
+        atomic_folder,
+        read_ply,
+        read_table,
+        write_json,
+        write_ply,
+        write_provenance,
+    )
 
     check_folder(out)
     for option, value in (("--stage-um", stage_um), ("--tilt-mrad", tilt_mrad)):

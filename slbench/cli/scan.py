@@ -1,14 +1,11 @@
-"""``slbench scan``, ``decode`` and ``export``."""
+"""``slbench scan``."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from rich.table import Table
 
 from slbench.cli.common import (
     Json,
@@ -20,18 +17,14 @@ from slbench.cli.common import (
     print_table,
     progress,
 )
+from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-from slbench.core.io import atomic_folder, write_exr, write_json, write_provenance
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands to `app`."""
-    block = "slbench scan step-block --patterns 1,10,50 --steps 3 --out out/block"
-    app.command(epilog=f"Example: {block}")(scan)
-    app.command(epilog="Example: slbench decode out/step-block --out decoded")(decode)
-    app.command(epilog="Example: slbench export sphere out/sphere.xml --pinhole")(export)
-
-
+@command("slbench scan step-block --patterns 1,10,50 --steps 3 --out out/block")
 def scan(
     scene: SceneName,
     out: Annotated[
@@ -61,7 +54,7 @@ def scan(
     preview: Preview = False,
     as_json: Json = False,
 ) -> None:
-    """Measure a scene: trace, capture, decode, triangulate and score it."""
+    """Measure a scene: trace, capture, decode, triangulate, score."""
     from slbench.report.page import check_page_path, write_page
     from slbench.report.pages.scan import scan_page
     from slbench.scene.file import load_scene
@@ -106,6 +99,8 @@ def scan(
 
 def _scan_table(result: Any) -> Table:
     """Lay a scan's score out for people."""
+    from rich.table import Table
+
     from slbench.report.pages.scan import overall_rows, seconds
 
     score = result.score
@@ -151,90 +146,3 @@ def _scan_table(result: Any) -> Table:
     for row in rows:
         table.add_row(*row)
     return table
-
-
-def decode(
-    folder: Annotated[
-        Path, typer.Argument(help="A folder of frames with a capture.toml beside them.")
-    ],
-    out: Annotated[
-        Path | None, typer.Option(help="Folder to write to.  [default: FOLDER/decoded]")
-    ] = None,
-    rig: Annotated[Path | None, typer.Option(help="Rig (OpenCV YAML) to triangulate with.")] = None,
-    min_modulation: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Least modulation of a valid pixel, DN; 3, or the capture's."),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Decode frames from disk, simulated or photographed, and triangulate where a rig is known."""
-    from slbench.capture.capture import Capture
-    from slbench.cloud.triangulation import triangulate
-    from slbench.rig.opencv import read_rig
-    from slbench.simulate.folder import write_cloud
-
-    target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
-    check_folder(target)
-    shots = Capture.load(folder)
-    if rig is not None:
-        shots = replace(shots, rig=read_rig(rig))
-    phase = shots.decode(min_modulation=min_modulation)
-    channels = {
-        "modulation": phase.modulation,
-        "mean": phase.mean,
-        "mask": phase.mask,
-        **{f"panel.{axis}": values for axis, values in phase.coordinate.items()},
-        **{f"sigma.{axis}": values for axis, values in phase.sigma.items()},
-    }
-    result: dict[str, Any] = {
-        "patterns": shots.sequence.name,
-        "frames": len(shots.frames),
-        "valid_pixels": int(np.count_nonzero(phase.mask)),
-        "points": None,
-        "predicted_sigma_mm": None,
-    }
-    with atomic_folder(target) as temporary:
-        write_exr(temporary / "phase.exr", {k: v.astype(np.float32) for k, v in channels.items()})
-        if shots.rig is not None:
-            cloud = triangulate(shots.rig, phase)
-            result["points"] = len(cloud)
-            if len(cloud):
-                write_cloud(temporary / "cloud.ply", cloud)
-                result["predicted_sigma_mm"] = float(np.median(cloud.sigma_total_mm))
-        write_json(temporary / "decode.json", result)
-        write_provenance(temporary, {"folder": str(folder), "rig": str(rig) if rig else None}, None)
-    if as_json:
-        print_json(result | {"out": str(target)})
-        return
-    for key, value in result.items():
-        print(f"{key}: {'-' if value is None else value}")
-    print(f"Written to {target}")
-
-
-def export(
-    scene: SceneName,
-    path: Annotated[Path, typer.Argument(help="The XML file to write.")],
-    frame: Annotated[int, typer.Option(min=0, help="Which frame of the scene's patterns.")] = 0,
-    pinhole: Annotated[
-        bool, typer.Option(help="Replace the projector's lens by a pinhole without fall-off.")
-    ] = False,
-) -> None:
-    """Write a scene as Mitsuba XML, where Mitsuba's stock plugins can express it."""
-    from slbench.patterns import panel_response
-    from slbench.scene.file import load_scene
-    from slbench.simulate.render.translate import export_xml
-
-    if path.suffix.lower() != ".xml":
-        raise InputError("path", "a name that ends in .xml", path)
-    loaded = load_scene(scene)
-    if pinhole:
-        projector = loaded.rig.projector
-        lens = replace(projector.lens, aperture_radius_mm=0.0, natural_vignetting=False)
-        loaded = replace(loaded, rig=replace(loaded.rig, projector=replace(projector, lens=lens)))
-    axis, profile = loaded.sequence.profile(frame)
-    projector = loaded.rig.projector
-    values = panel_response(profile, projector.bit_depth, projector.gamma)
-    shape = (projector.height, projector.width)
-    panel = np.broadcast_to(values if axis == "u" else values[:, None], shape)
-    for written in export_xml(loaded, path, panel):
-        print(written)

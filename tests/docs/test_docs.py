@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from browsers import chromium
 
 from slbench.cli import app
@@ -114,7 +113,7 @@ def commands(path):
 
 @functools.cache
 def command_tree():
-    return typer.main.get_command(app)
+    return app
 
 
 def parse(line):

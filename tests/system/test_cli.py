@@ -8,7 +8,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import typer
 from scenes_small import run_cli, write_scene
 
 from slbench import __version__
@@ -361,7 +360,7 @@ def commands(group, path=()):
             yield (*path, name)
 
 
-ALL_COMMANDS = list(commands(typer.main.get_command(app)))
+ALL_COMMANDS = list(commands(app))
 
 
 def test_the_commands_are_there():

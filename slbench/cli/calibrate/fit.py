@@ -1,25 +1,20 @@
-"""``slbench calibrate fit`` and ``apply``."""
+"""``slbench calibrate fit``."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from rich.table import Table
 
-from slbench.cli.common import Json, Seed, new_app, print_json, print_table
-from slbench.core.errors import InputError
+from slbench.cli.common import Json, Seed, check_file, print_json, print_table
+from slbench.cli.lazy import command
 
-app = new_app("Calibrate by one polynomial model of all pixels, and measure with it.")
-
-_FIT = "slbench calibrate fit points.csv --out model.json --json"
-_APPLY = "slbench calibrate apply model.json out/coin --out cloud.ply"
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
-@app.command(epilog=f"Example: {_FIT}")
+@command("slbench calibrate fit points.csv --out model.json --json")
 def fit(
     points: Annotated[
         Path,
@@ -42,14 +37,17 @@ def fit(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Fit the models of every world coordinate robustly and choose by cross-validation."""
+    """Fit models to points robustly; choose by cross-validation.
+
+    Every world coordinate has a model of its own, or all together one.
+    """
     from slbench.calibration.models.points import CalibrationPoints
     from slbench.calibration.selection import select_models
     from slbench.report.page import check_page_path, write_page
     from slbench.report.pages.calibration import calibration_page
     from slbench.twin.report import gross_note
 
-    _check_suffix(out, ".json")
+    check_file(out, ".json")
     if report is not None:
         check_page_path(report)
     data = CalibrationPoints.read(points)
@@ -92,6 +90,8 @@ def fit(
 
 def _scores(selection: Any) -> Table:
     """Lay the scores of all models out as in thesis fig. 30-32 and table 13, in µm."""
+    from rich.table import Table
+
     from slbench.twin.report import score_rows
 
     table = Table(title="errors / µm; * selected by the least CV")
@@ -101,64 +101,3 @@ def _scores(selection: Any) -> Table:
         mark = " *" if selected else ""
         table.add_row(f"{name} {form}{mark}", *(f"{value:.4g}" for value in errors))
     return table
-
-
-@app.command(epilog=f"Example: {_APPLY}")
-def apply(
-    model: Annotated[Path, typer.Argument(help="Model that `calibrate fit` wrote.")],
-    capture: Annotated[
-        Path, typer.Argument(help="A folder of frames with a capture.toml beside them.")
-    ],
-    out: Annotated[Path, typer.Option(help="Cloud to write (.ply).")] = Path("cloud.ply"),
-    inside_only: Annotated[
-        bool, typer.Option("--inside-only", help="Leave out what the model would extrapolate to.")
-    ] = False,
-    min_modulation: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Least modulation of a valid pixel, DN; 3, or the capture's."),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Decode frames and turn every pixel into a point by a calibration model."""
-    from slbench.calibration.apply import measure
-    from slbench.calibration.models.model import CalibrationModel
-    from slbench.capture.capture import Capture
-    from slbench.core.io import write_ply
-
-    _check_suffix(out, ".ply")
-    calibration = CalibrationModel.load(model)
-    phase = Capture.load(capture).decode(min_modulation=min_modulation)
-    measured = measure(calibration, phase)
-    outside = int(np.count_nonzero(measured.extrapolated))
-    decoded = len(measured.cloud)
-    if inside_only:
-        measured = measured.inside()
-    count = len(measured.cloud)
-    if count == 0:
-        expected = "pixels in the model's domain" if decoded else "pixels that can be decoded"
-        raise InputError(capture, expected, f"none of {decoded}" if decoded else "none")
-    if 2 * outside > decoded:
-        share = f"{outside} of {decoded} pixels are outside the model's domain"
-        print(f"warning: {share}: another camera, or a larger object?", file=sys.stderr)
-    sigma = measured.sigma_total_mm
-    fields = {"sigma": sigma, "extrapolated": measured.extrapolated.astype(np.float64)}
-    write_ply(out, measured.cloud.points, fields)
-    result = {
-        "points": count,
-        "outside": outside,
-        "predicted_sigma_mm": float(np.median(sigma)),
-        "out": str(out),
-    }
-    if as_json:
-        print_json(result)
-        return
-    print(f"{count} points, {outside} of {decoded} pixels outside the model's domain", end="")
-    print(" left out" if inside_only else "")
-    print(f"predicted standard deviation: {1e3 * float(np.median(sigma)):.4g} µm (median)")
-    print(f"Written to {out}")
-
-
-def _check_suffix(path: Path, suffix: str) -> None:
-    """Refuse an output of another kind, or a folder, before the work is done."""
-    if path.suffix.lower() != suffix or path.is_dir():
-        raise InputError("--out", f"the name of a file that ends in {suffix}", path)

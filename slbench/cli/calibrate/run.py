@@ -17,14 +17,15 @@ from slbench.cli.common import (
     print_json,
     progress,
 )
+from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
-EXAMPLE = "slbench calibrate run ch8-grid-stack --preview --out out/calibration"
 #: Heights and shifts of a preview.  The methods are compared on every other height: seven leave
 #: four to fit to, as many as a cubic in the height needs.
 _PREVIEW = (7, 2)
 
 
+@command("slbench calibrate run ch8-grid-stack --preview --out out/calibration")
 def run(
     scene: SceneName,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/calibration"),
@@ -60,7 +61,7 @@ def run(
     preview: Preview = False,
     as_json: Json = False,
 ) -> None:
-    """Render the calibration experiment, from dots on a stage to a chosen model."""
+    """Render the calibration experiment: dots on a stage to a model."""
     import numpy as np
 
     from slbench.calibration.baselines import compare_methods

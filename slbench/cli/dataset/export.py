@@ -9,19 +9,19 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, Seed, check_folder, print_json, progress
+from slbench.cli.common import DatasetName, Json, Seed, check_folder, print_json, progress
+from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-from slbench.core.io import atomic_folder
 
-EXAMPLE = (
-    "slbench dataset export data --format hdf5 --out data.h5 "
-    "--patterns 1,10,50 --where \"kind == 'gear'\""
-)
 _PART = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)=([0-9.eE+-]+)")
 
 
+@command(
+    "slbench dataset export data --format hdf5 --out data.h5 "
+    "--patterns 1,10,50 --where \"kind == 'gear'\""
+)
 def export(
-    dataset: Annotated[str, typer.Argument(help="A data set: a folder or a URL.")],
+    dataset: DatasetName,
     out: Annotated[Path, typer.Option(help="Folder, or .h5 file, to write; must not exist.")],
     form: Annotated[str, typer.Option("--format", help="frames, hdf5 or bop.")] = "frames",
     where: Annotated[
@@ -47,6 +47,7 @@ def export(
 ) -> None:
     """Write a data set, or a part of it, as pictures, HDF5 or BOP."""
     from slbench import datasets
+    from slbench.core.io import atomic_folder
     from slbench.datasets.export.formats import check_target
     from slbench.datasets.export.formats import export as write
     from slbench.datasets.read.recipe import Recipe

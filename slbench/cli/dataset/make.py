@@ -1,4 +1,4 @@
-"""``slbench dataset``: make, verify and describe data sets."""
+"""``slbench dataset make``."""
 
 from __future__ import annotations
 
@@ -6,24 +6,19 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, Preview, Seed, new_app, print_json, print_table, progress
-from slbench.cli.dataset import export
+from slbench.cli.common import Json, Preview, Seed, print_json, progress
+from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
-app = new_app("Data sets of many scans: make, verify, describe, export.")
-
-_MAKE = "slbench dataset make mixed --out data --count 100 --preview"
 #: How often a line tells how far a run is where there is no terminal, s.
 _QUIET_S = 30.0
 
-DatasetName = Annotated[str, typer.Argument(help="A data set: a folder or a URL.")]
 
-
-@app.command(epilog=f"Example: {_MAKE}")
+@command("slbench dataset make mixed --out data --count 100 --preview")
 def make(
     spec: Annotated[
         str, typer.Argument(help="A specification (TOML), or the name of a shipped one.")
@@ -46,7 +41,7 @@ def make(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Make a data set: draw scenes, scan them, pack them in shards with an index."""
+    """Make a data set: draw scenes, scan them, pack them in shards."""
     from slbench.datasets.make.cluster import (
         LostError,
         existing_cluster,
@@ -145,54 +140,3 @@ def _span(seconds: float) -> str:
     """Return a time as h:mm:ss."""
     whole = int(seconds)
     return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"
-
-
-@app.command(epilog="Example: slbench dataset verify data")
-def verify(dataset: DatasetName, as_json: Json = False) -> None:
-    """Check every checksum, count and file of a data set."""
-    from slbench.datasets.verify import verify_dataset
-
-    with progress(as_json) as report:
-        tell = None if report is None else lambda done: report("verify", done)
-        problems, found = verify_dataset(dataset, tell)
-    if as_json:
-        print_json(found | {"problems": problems})
-    else:
-        for problem in problems:
-            print(problem)
-        state = f"{len(problems)} problems" if problems else "whole"
-        print(
-            f"{state}: {found['samples']} samples, {found['failed']} failed, "
-            f"{found['shards']} shards, {found['bytes'] / 1e6:.1f} MB"
-        )
-    if problems:
-        raise typer.Exit(1)
-
-
-@app.command(epilog="Example: slbench dataset info data --json")
-def info(dataset: DatasetName, as_json: Json = False) -> None:
-    """Say what a data set holds."""
-    from rich.table import Table
-
-    from slbench.datasets.verify import information
-
-    found = information(dataset)
-    if as_json:
-        print_json(found)
-        return
-    table = Table(title=str(found["name"]), show_header=False)
-    for key, value in found.items():
-        if key != "name":
-            table.add_row(key, _said(value))
-    print_table(table)
-
-
-def _said(value: Any) -> str:
-    if isinstance(value, dict):
-        return "\n".join(f"{key}: {_said(item)}" for key, item in value.items()) or "none"
-    if isinstance(value, list):
-        return ", ".join(map(str, value)) or "none"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-app.command(epilog=f"Example: {export.EXAMPLE}")(export.export)

@@ -1,75 +1,18 @@
-"""``slbench design evaluate``, ``rig`` and ``verify``; ``patterns`` joins them."""
+"""``slbench design rig``."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated, Any
 
-import numpy as np
 import typer
-from rich.table import Table
 
-from slbench.cli.common import (
-    Json,
-    Seed,
-    check_folder,
-    new_app,
-    print_json,
-    print_table,
-    progress,
-)
-from slbench.cli.design import patterns
-from slbench.core import resources
-
-app = new_app("Design of structured-light systems: rigs and pattern sequences.")
-app.command(epilog=f"Example: {patterns.EXAMPLE}")(patterns.patterns)
-app.command(epilog=f"Example: {patterns.NOISE_EXAMPLE}")(patterns.noise)
-
-HardwareName = Annotated[
-    str, typer.Argument(help="A hardware file, or the name of a shipped one: hardware/macro-ch6.")
-]
+from slbench.cli.common import Json, Seed, check_folder, print_json, progress
+from slbench.cli.design.hardware import HardwareName
+from slbench.cli.lazy import command
 
 
-@app.command(
-    epilog="Example: slbench design evaluate hardware/macro-ch6 scenes/hardware/table4.csv --json"
-)
-def evaluate(
-    hardware: HardwareName,
-    configurations: Annotated[Path, typer.Argument(help="CSV of z_ref_mm, w_mm, ... beta_p_deg.")],
-    full: Annotated[
-        bool, typer.Option("--full", help="Every camera pixel instead of the thesis's sample.")
-    ] = False,
-    as_json: Json = False,
-) -> None:
-    """Predict error, coverage and constraints of rig configurations."""
-    from slbench.design.rig.evaluate import THESIS_STRIDE
-    from slbench.design.rig.evaluate import evaluate as run
-    from slbench.design.rig.hardware import load_hardware, read_configurations
-
-    rows = read_configurations(configurations)
-    result = run(load_hardware(hardware), rows, stride=(1, 1) if full else THESIS_STRIDE)
-    if as_json:
-        print_json(result.rows())
-        return
-    table = Table(title=f"{len(rows)} configurations")
-    for name in ("", "μ / mm", "σ / mm", "η", "points", "d / mm", "angle / °", "feasible"):
-        table.add_column(name, justify="right")
-    for i, row in enumerate(result.rows()):
-        failed = [name for name, margin in row["margins"].items() if not margin > 0]
-        table.add_row(
-            str(i + 1),
-            f"{row['mu_mm']:.4f}",
-            f"{row['sigma_mm']:.4f}",
-            f"{row['eta']:.3f}",
-            str(row["n_points"]),
-            f"{row['dispersion_mm']:.2f}",
-            f"{row['angle_deg']:.1f}",
-            "yes" if row["feasible"] else f"no: {', '.join(failed)}",
-        )
-    print_table(table)
-
-
-@app.command(epilog="Example: slbench design rig hardware/macro-ch6 --out out/rig")
+@command("slbench design rig hardware/macro-ch6 --out out/rig")
 def rig(
     hardware: HardwareName,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/rig"),
@@ -97,7 +40,13 @@ def rig(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Search for the best rigs of given hardware; report them, and a scene to scan."""
+    """Search for the best rigs of given hardware.
+
+    Written are a report of them and the scene of the recommended one, ready to be scanned.
+    """
+    import numpy as np
+
+    from slbench.core import resources
     from slbench.design.rig.evaluate import evaluate as run
     from slbench.design.rig.hardware import (
         load_hardware,
@@ -168,67 +117,14 @@ def rig(
     print(f"Written to {out}: scan it with slbench scan {out / 'scene.toml'}")
 
 
-@app.command(epilog="Example: slbench design verify hardware/macro-ch6 scenes/hardware/table4.csv")
-def verify(
-    hardware: HardwareName,
-    configurations: Annotated[
-        Path | None, typer.Argument(help="CSV of rigs; without it feasible ones are drawn.")
-    ] = None,
-    count: Annotated[int, typer.Option(min=3, help="How many rigs to draw.")] = 24,
-    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/verify"),
-    patterns: Annotated[str, typer.Option(help="Fringes of three shifts.")] = "1,5",
-    spp: Annotated[int, typer.Option(min=1, max=65536, help="Samples a pixel.")] = 16,
-    seed: Seed = 0,
-    as_json: Json = False,
-) -> None:
-    """Scan a plate with each rig and compare the errors with the predicted ones."""
-    from slbench.core.io import atomic_folder, write_json, write_provenance
-    from slbench.design.rig.constraints import feasible_sample
-    from slbench.design.rig.hardware import load_hardware, read_configurations
-    from slbench.design.rig.verify import draw
-    from slbench.design.rig.verify import verify as run
-
-    check_folder(out)
-    loaded = load_hardware(hardware)
-    if configurations is None:
-        rows = feasible_sample(loaded, count, seed)
-    else:
-        rows = read_configurations(configurations)
-    with progress(as_json) as report:
-        result = run(
-            loaded,
-            rows,
-            patterns=patterns,
-            samples=spp,
-            seed=seed,
-            on_progress=report,
-        )
-    found = {
-        "configurations": np.column_stack((rows[:, :4], np.rad2deg(rows[:, 4:]))),
-        "rank_correlation": result.rank_correlation,
-        "predicted_mm": result.predicted.mu_mm,
-        "rendered_mm": result.rendered_mm,
-        "rendered_z_mm": result.rendered_z_mm,
-    }
-    with atomic_folder(out) as temporary:
-        write_json(temporary / "verify.json", found)
-        draw(result, temporary / "verify.png")
-        parameters = {"hardware": hardware, "patterns": patterns, "samples": spp}
-        write_provenance(temporary, parameters, seed)
-    if as_json:
-        print_json(found | {"out": str(out)})
-        return
-    for k, (mu, rms) in enumerate(zip(result.predicted.mu_mm, result.rendered_mm, strict=True)):
-        print(f"{k + 1:3}  predicted {1e3 * mu:7.1f} µm   rendered {1e3 * rms:7.1f} µm")
-    print(f"rank correlation {result.rank_correlation:.3f}; written to {out}")
-
-
 def _reporter(report: Any, budget: int) -> Any:
     """Return a callback that shows how many rigs the front has, and its hypervolume.
 
     The reference point is a tenth of its extent beyond the worst of the first front that has
     one; the hypervolume is shown relative to that front's.
     """
+    import numpy as np
+
     from slbench.design.search.front import hypervolume
 
     first: dict[str, Any] = {}

@@ -1,0 +1,70 @@
+"""``slbench calibrate apply``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slbench.cli.common import Json, check_file, print_json
+from slbench.cli.lazy import command
+from slbench.core.errors import InputError
+
+
+@command("slbench calibrate apply model.json out/coin --out cloud.ply")
+def apply(
+    model: Annotated[Path, typer.Argument(help="Model that `calibrate fit` wrote.")],
+    capture: Annotated[
+        Path, typer.Argument(help="A folder of frames with a capture.toml beside them.")
+    ],
+    out: Annotated[Path, typer.Option(help="Cloud to write (.ply).")] = Path("cloud.ply"),
+    inside_only: Annotated[
+        bool, typer.Option("--inside-only", help="Leave out what the model would extrapolate to.")
+    ] = False,
+    min_modulation: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Least modulation of a valid pixel, DN; 3, or the capture's."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Decode frames; turn every pixel into a point by a model."""
+    import numpy as np
+
+    from slbench.calibration.apply import measure
+    from slbench.calibration.models.model import CalibrationModel
+    from slbench.capture.capture import Capture
+    from slbench.core.io import write_ply
+
+    check_file(out, ".ply")
+    calibration = CalibrationModel.load(model)
+    phase = Capture.load(capture).decode(min_modulation=min_modulation)
+    measured = measure(calibration, phase)
+    outside = int(np.count_nonzero(measured.extrapolated))
+    decoded = len(measured.cloud)
+    if inside_only:
+        measured = measured.inside()
+    count = len(measured.cloud)
+    if count == 0:
+        expected = "pixels in the model's domain" if decoded else "pixels that can be decoded"
+        raise InputError(capture, expected, f"none of {decoded}" if decoded else "none")
+    if 2 * outside > decoded:
+        share = f"{outside} of {decoded} pixels are outside the model's domain"
+        print(f"warning: {share}: another camera, or a larger object?", file=sys.stderr)
+    sigma = measured.sigma_total_mm
+    fields = {"sigma": sigma, "extrapolated": measured.extrapolated.astype(np.float64)}
+    write_ply(out, measured.cloud.points, fields)
+    result = {
+        "points": count,
+        "outside": outside,
+        "predicted_sigma_mm": float(np.median(sigma)),
+        "out": str(out),
+    }
+    if as_json:
+        print_json(result)
+        return
+    print(f"{count} points, {outside} of {decoded} pixels outside the model's domain", end="")
+    print(" left out" if inside_only else "")
+    print(f"predicted standard deviation: {1e3 * float(np.median(sigma)):.4g} µm (median)")
+    print(f"Written to {out}")

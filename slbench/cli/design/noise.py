@@ -1,0 +1,83 @@
+"""``slbench design noise``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slbench.cli.common import (
+    Json,
+    Preview,
+    SceneName,
+    Seed,
+    check_folder,
+    print_json,
+    print_table,
+    progress,
+)
+from slbench.cli.lazy import command
+
+
+@command("slbench design noise ch8-stack --preview --repeats 4 --out out/noise")
+def noise(
+    scene: SceneName,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/noise"),
+    heights: Annotated[int, typer.Option(min=1, max=1000, help="Heights through the volume.")] = 11,
+    max_fringes: Annotated[int | None, typer.Option(help="Most fringes to measure.")] = None,
+    min_px_per_fringe: Annotated[float, typer.Option(help="Least pixels a fringe.")] = 5.0,
+    shifts: Annotated[int, typer.Option(min=3, help="Phase shifts.")] = 3,
+    repeats: Annotated[int, typer.Option(min=2, help="Captures of each height.")] = 20,
+    seed: Seed = 0,
+    preview: Preview = False,
+    as_json: Json = False,
+) -> None:
+    """Measure phase noise by fringes and height, as thesis fig. 25."""
+    import numpy as np
+    from rich.table import Table
+
+    from slbench.core.io import atomic_folder, write_provenance
+    from slbench.design.fringes.characterise import characterise, draw
+    from slbench.design.fringes.design import candidates
+    from slbench.scene.file import load_scene
+
+    check_folder(out)
+    loaded = load_scene(scene, preview=preview)
+    counts = candidates(
+        loaded.rig.projector.width, max_fringes=max_fringes, min_px_per_fringe=min_px_per_fringe
+    )
+    half = 0.5 * loaded.rig.volume_mm[2]
+    z_mm = np.linspace(-half, half, heights).tolist() if heights > 1 else [0.0]
+    with progress(as_json) as report:
+        found = characterise(
+            loaded,
+            counts,
+            z_mm=z_mm,
+            repeats=repeats,
+            shifts=shifts,
+            seed=seed,
+            on_progress=report,
+        )
+    with atomic_folder(out) as temporary:
+        for name, measured in found.items():
+            measured.write(temporary / f"{name}.csv")
+        draw(found, temporary / "noise.png")
+        parameters = {"scene": loaded.specification, "repeats": repeats, "shifts": shifts}
+        write_provenance(temporary, parameters, seed)
+    if as_json:
+        values = {
+            name: {"fringes": t.fringes, "z_mm": t.z_mm, "sigma_rad": t.sigma_rad}
+            for name, t in found.items()
+        }
+        print_json(values | {"out": str(out)})
+        return
+    for name, measured in found.items():
+        table = Table(title=f"{name}: noise / rad by height and fringes")
+        table.add_column("z / mm", justify="right")
+        for count in measured.fringes:
+            table.add_column(str(count), justify="right")
+        for z, column in zip(measured.z_mm, measured.sigma_rad.T, strict=True):
+            table.add_row(f"{z:g}", *(f"{s:.4f}" if np.isfinite(s) else "-" for s in column))
+        print_table(table)
+    print(f"Written to {out}: slbench design patterns --noise-table takes the tables")

@@ -1,0 +1,69 @@
+"""``slbench design verify``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slbench.cli.common import Json, Seed, check_folder, print_json, progress
+from slbench.cli.design.hardware import HardwareName
+from slbench.cli.lazy import command
+
+
+@command("slbench design verify hardware/macro-ch6 scenes/hardware/table4.csv")
+def verify(
+    hardware: HardwareName,
+    configurations: Annotated[
+        Path | None, typer.Argument(help="CSV of rigs; without it feasible ones are drawn.")
+    ] = None,
+    count: Annotated[int, typer.Option(min=3, help="How many rigs to draw.")] = 24,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/verify"),
+    patterns: Annotated[str, typer.Option(help="Fringes of three shifts.")] = "1,5",
+    spp: Annotated[int, typer.Option(min=1, max=65536, help="Samples a pixel.")] = 16,
+    seed: Seed = 0,
+    as_json: Json = False,
+) -> None:
+    """Scan a plate with rigs; compare errors with predicted ones."""
+    import numpy as np
+
+    from slbench.core.io import atomic_folder, write_json, write_provenance
+    from slbench.design.rig.constraints import feasible_sample
+    from slbench.design.rig.hardware import load_hardware, read_configurations
+    from slbench.design.rig.verify import draw
+    from slbench.design.rig.verify import verify as run
+
+    check_folder(out)
+    loaded = load_hardware(hardware)
+    if configurations is None:
+        rows = feasible_sample(loaded, count, seed)
+    else:
+        rows = read_configurations(configurations)
+    with progress(as_json) as report:
+        result = run(
+            loaded,
+            rows,
+            patterns=patterns,
+            samples=spp,
+            seed=seed,
+            on_progress=report,
+        )
+    found = {
+        "configurations": np.column_stack((rows[:, :4], np.rad2deg(rows[:, 4:]))),
+        "rank_correlation": result.rank_correlation,
+        "predicted_mm": result.predicted.mu_mm,
+        "rendered_mm": result.rendered_mm,
+        "rendered_z_mm": result.rendered_z_mm,
+    }
+    with atomic_folder(out) as temporary:
+        write_json(temporary / "verify.json", found)
+        draw(result, temporary / "verify.png")
+        parameters = {"hardware": hardware, "patterns": patterns, "samples": spp}
+        write_provenance(temporary, parameters, seed)
+    if as_json:
+        print_json(found | {"out": str(out)})
+        return
+    for k, (mu, rms) in enumerate(zip(result.predicted.mu_mm, result.rendered_mm, strict=True)):
+        print(f"{k + 1:3}  predicted {1e3 * mu:7.1f} µm   rendered {1e3 * rms:7.1f} µm")
+    print(f"rank correlation {result.rank_correlation:.3f}; written to {out}")

@@ -1,0 +1,39 @@
+"""``slbench objects list``."""
+
+from __future__ import annotations
+
+from slbench.cli.common import Json, print_json, print_table
+from slbench.cli.lazy import command
+
+
+@command("slbench objects list", name="list")
+def list_objects(as_json: Json = False) -> None:
+    """List the shipped artefacts, their size and certified dimensions."""
+    from rich.table import Table
+
+    from slbench import objects
+    from slbench.core import resources
+
+    found = [objects.load(name) for name in resources.names("objects")]
+    if as_json:
+        print_json(
+            [
+                {
+                    "name": item.name,
+                    "kind": item.kind,
+                    "size_mm": item.mesh.bounds[1] - item.mesh.bounds[0],
+                    "certified": item.certified,
+                    "source": item.source,
+                }
+                for item in found
+            ]
+        )
+        return
+    table = Table(title="Artefacts")
+    for column in ("name", "size / mm", "certified dimensions"):
+        table.add_column(column)
+    for item in found:
+        size = item.mesh.bounds[1] - item.mesh.bounds[0]
+        dimensions = "\n".join(f"{key} = {value:g}" for key, value in item.certified.items())
+        table.add_row(item.name, " x ".join(f"{x:.4g}" for x in size), dimensions)
+    print_table(table)

@@ -1,0 +1,34 @@
+"""``slbench objects show``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slbench.cli.lazy import command
+from slbench.cli.objects.artefact import Changes, Name, artefact_of
+from slbench.core.errors import InputError
+
+
+@command("slbench objects show coin-3 --out coin.png --material gold")
+def show(
+    name: Name,
+    out: Annotated[Path, typer.Option(help="The PNG to write.")],
+    changes: Changes = None,
+    material: Annotated[
+        str | None, typer.Option(help="A material preset, such as brushed-steel.")
+    ] = None,
+) -> None:
+    """Draw an artefact: a shaded render, to scale."""
+    from slbench.report.plots.draw import object_picture
+    from slbench.scene.materials import PRESETS
+    from slbench.simulate.render.show import shade
+
+    if material is not None and material not in PRESETS:
+        raise InputError("--material", f"one of {', '.join(PRESETS)}", material)
+    artefact = artefact_of(name, changes)
+    image, mm_per_px = shade(artefact, material=PRESETS[material] if material else None)
+    object_picture(artefact, image, mm_per_px, out)
+    print(f"Written to {out}")

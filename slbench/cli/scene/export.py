@@ -1,0 +1,45 @@
+"""``slbench export``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slbench.cli.common import SceneName
+from slbench.cli.lazy import command
+from slbench.core.errors import InputError
+
+
+@command("slbench export sphere out/sphere.xml --pinhole")
+def export(
+    scene: SceneName,
+    path: Annotated[Path, typer.Argument(help="The XML file to write.")],
+    frame: Annotated[int, typer.Option(min=0, help="Which frame of the scene's patterns.")] = 0,
+    pinhole: Annotated[
+        bool, typer.Option(help="Replace the projector's lens by a pinhole without fall-off.")
+    ] = False,
+) -> None:
+    """Write a scene as Mitsuba XML, if stock plugins can express it."""
+    import numpy as np
+
+    from slbench.patterns import panel_response
+    from slbench.scene.file import load_scene
+    from slbench.simulate.render.translate import export_xml
+
+    if path.suffix.lower() != ".xml":
+        raise InputError("path", "a name that ends in .xml", path)
+    loaded = load_scene(scene)
+    if pinhole:
+        projector = loaded.rig.projector
+        lens = replace(projector.lens, aperture_radius_mm=0.0, natural_vignetting=False)
+        loaded = replace(loaded, rig=replace(loaded.rig, projector=replace(projector, lens=lens)))
+    axis, profile = loaded.sequence.profile(frame)
+    projector = loaded.rig.projector
+    values = panel_response(profile, projector.bit_depth, projector.gamma)
+    shape = (projector.height, projector.width)
+    panel = np.broadcast_to(values if axis == "u" else values[:, None], shape)
+    for written in export_xml(loaded, path, panel):
+        print(written)
