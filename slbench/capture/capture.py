@@ -7,6 +7,8 @@ beside ``capture.toml``, and the same manifest describes real photographs::
     bit_depth = 8
     frames = ["frames/000.png", "frames/001.png", ...]   # in the order of the patterns
     rig = "rig.yaml"                                     # optional, to triangulate
+    camera = "left"                                      # optional, where devices have names
+    projector = "projector"
 
     [patterns]
     panel = [640, 480]                                   # width and height, px
@@ -40,7 +42,7 @@ from slbench.patterns import (
     PhaseMap,
     decode,
 )
-from slbench.rig import Rig
+from slbench.rig import ALONE, Pair, Rig
 from slbench.rig.opencv import read_rig, write_rig
 
 MANIFEST = "capture.toml"
@@ -57,6 +59,7 @@ _KEYS = {
     "patterns",
     "noise",
     "exposure_ms",
+    *Pair._fields,
 }
 
 
@@ -75,12 +78,14 @@ class Capture:
     noise : NoiseModel or None
         Temporal noise, for predicted deviations; None where it is not known.
     rig : Rig or None
-        Geometry, where it is known.
+        Geometry of the camera and the projector, where it is known.
     exposure_s : float or None
     saturation_dn : int or None
         Digital number at and above which a pixel is saturated; None is the top of the range.
     min_modulation_dn : float or None
         Least modulation of a pixel that is measured; None is the decoder's own limit.
+    pair : Pair
+        Names of the camera that saw the frames and of the projector that showed the patterns.
     """
 
     frames: NDArray[Any]
@@ -91,6 +96,7 @@ class Capture:
     exposure_s: float | None = None
     saturation_dn: int | None = None
     min_modulation_dn: float | None = None
+    pair: Pair = ALONE
 
     def __post_init__(self) -> None:
         frames = self.frames
@@ -119,6 +125,8 @@ class Capture:
         if frames.dtype.itemsize * 8 < self.bit_depth:
             raise InputError("capture frames", f"{self.bit_depth} bit frames", frames.dtype)
         if self.rig is not None:
+            if self.rig.only != self.pair:
+                raise InputError("rig", f"devices {self.pair}", self.rig.only)
             _check_sizes(self.rig, frames.shape, self.sequence.panel)
 
     @property
@@ -159,6 +167,8 @@ class Capture:
             "frames": names,
             "patterns": self.sequence.to_dict(),
         }
+        if self.pair != ALONE:
+            manifest |= self.pair._asdict()
         if self.saturation_dn is not None:
             manifest["saturation_dn"] = self.saturation_dn
         if self.min_modulation_dn is not None:
@@ -197,9 +207,10 @@ class Capture:
             sequence = PatternSequence.from_dict(manifest["patterns"])
             noise = _noise(manifest["noise"]) if "noise" in manifest else None
             frames = _read_frames(path.parent, manifest["frames"])
+            pair = _pair(manifest)
             rig = None
             if "rig" in manifest:
-                rig = read_rig(resources.inside(path.parent, manifest["rig"]))
+                rig = read_rig(resources.inside(path.parent, manifest["rig"])).pair(pair)
             bits = manifest.get("bit_depth", 8 * frames.dtype.itemsize)
             exposure = manifest.get("exposure_ms")
             if exposure is not None and type(exposure) not in (int, float):
@@ -207,7 +218,7 @@ class Capture:
             time = None if exposure is None else float(exposure) * 1e-3
             saturation = manifest.get("saturation_dn")
             least = manifest.get("min_modulation_dn")
-            return cls(frames, sequence, bits, noise, rig, time, saturation, least)
+            return cls(frames, sequence, bits, noise, rig, time, saturation, least, pair)
         except InputError as error:
             raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
 
@@ -218,6 +229,14 @@ def read_capture(folder: str | Path) -> Capture:
     The function of :meth:`Capture.load`, which says what is raised.
     """
     return Capture.load(folder)
+
+
+def _pair(manifest: dict[str, Any]) -> Pair:
+    names = {key: manifest[key] for key in Pair._fields if key in manifest}
+    for key, name in names.items():
+        if not isinstance(name, str) or not name:
+            raise InputError(key, "the name of a device", repr(name))
+    return Pair(**names)
 
 
 def _check_sizes(rig: Rig, frames: tuple[int, ...], panel: tuple[int, int]) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Self
+from itertools import chain, product
+from typing import Self
 
 import numpy as np
 
@@ -21,33 +22,33 @@ class Focus:
 
     Parameters
     ----------
-    camera_mm, projector_mm : tuple of float
-        Distances in focus along the axes, equally many, at least one.
+    distances_mm : mapping of str to tuple of float
+        By device: distances in focus along its axis, equally many, at least one.
     """
 
-    camera_mm: tuple[float, ...]
-    projector_mm: tuple[float, ...]
+    distances_mm: Mapping[str, tuple[float, ...]]
 
     def __post_init__(self) -> None:
-        if not self.camera_mm or len(self.camera_mm) != len(self.projector_mm):
-            got = f"{len(self.camera_mm)} and {len(self.projector_mm)}"
-            raise InputError("focus", "as many distances of the camera as of the projector", got)
-        if len(self.camera_mm) > MAX_SETTINGS:
-            raise InputError("focus", f"at most {MAX_SETTINGS} settings", len(self.camera_mm))
-        for distance in (*self.camera_mm, *self.projector_mm):
+        counts = {name: len(values) for name, values in self.distances_mm.items()}
+        if len(set(counts.values())) != 1 or not min(counts.values()):
+            got = " and ".join(f"{count} of the {name}" for name, count in counts.items())
+            raise InputError("focus", "as many distances of every device, at least one", got)
+        if len(self) > MAX_SETTINGS:
+            raise InputError("focus", f"at most {MAX_SETTINGS} settings", len(self))
+        for distance in chain.from_iterable(self.distances_mm.values()):
             if not 0 < distance < np.inf:
                 raise InputError("focus", "positive distances (mm)", distance)
 
     def __len__(self) -> int:
-        return len(self.camera_mm)
+        return len(next(iter(self.distances_mm.values())))
+
+    def rig(self, rig: Rig, setting: int) -> Rig:
+        """Return the rig at one of the settings."""
+        return rig.focused({name: values[setting] for name, values in self.distances_mm.items()})
 
     @classmethod
     def sweep(
-        cls,
-        rig: Rig,
-        heights_mm: Sequence[float],
-        move: Literal["both", "camera", "projector"] = "both",
-        apart: bool = False,
+        cls, rig: Rig, heights_mm: Sequence[float], move: str = "both", apart: bool = False
     ) -> Self:
         """Return settings that focus on points above the origin, one after the other.
 
@@ -56,24 +57,22 @@ class Focus:
         rig : Rig
         heights_mm : sequence of float
             Heights z of the points.
-        move : {"both", "camera", "projector"}
-            Which device follows; the other keeps its focus.
+        move : str
+            Which device follows, by name, the others keep their focus; "both" moves all.
         apart : bool
-            Every height of the camera with every one of the projector; together otherwise.
+            Every height of a device with every one of the others; together otherwise.
         """
-        if move not in ("both", "camera", "projector"):
-            raise InputError("focus move", "both, camera or projector", move)
+        if move not in ("both", *rig.devices):
+            raise InputError("focus move", f"both or one of {', '.join(rig.devices)}", move)
+        if apart and move != "both":
+            raise InputError("focus", "apart only where both devices move", move)
         distances = []
-        for name, device in (("camera", rig.camera), ("projector", rig.projector)):
+        for name, device in rig.devices.items():
             if move in ("both", name):
                 points = np.array([[0.0, 0.0, z] for z in heights_mm]).reshape(-1, 3)
                 depth = (points - device.pose.position) @ device.pose.rotation[:, 2]
                 distances.append([float(d) for d in depth])
             else:
                 distances.append([device.lens.focus_distance_mm] * len(heights_mm))
-        if apart:
-            if move != "both":
-                raise InputError("focus", "apart only where both devices move", move)
-            pairs = [(c, p) for c in distances[0] for p in distances[1]]
-            distances = [[c for c, _ in pairs], [p for _, p in pairs]]
-        return cls(tuple(distances[0]), tuple(distances[1]))
+        settings = product(*distances) if apart else zip(*distances, strict=True)
+        return cls(dict(zip(rig.devices, zip(*settings, strict=True), strict=True)))

@@ -36,13 +36,16 @@ from slbench.patterns import (
     PhaseMap,
     relative_phase,
 )
+from slbench.rig import Pair
 
 Array = NDArray[np.float64]
 WeightSource = Literal["lit", "modulation"]
 
 MANIFEST = "stack.toml"
 _FORMAT = 1
-_KEYS = {"format", "captures", "camera_mm", "projector_mm"}
+_KEYS = {"format", "captures"}
+#: Behind the name of a device: its distances in focus.
+_FOCUS = "_mm"
 #: Fused frames have 16 bits: averages are finer than the frames that they are made of.
 _BITS = 16
 #: A fused pixel counts as saturated when this share of its weight is.
@@ -202,6 +205,7 @@ class FocusStack:
             first.exposure_s,
             int(scale * saturation),
             scale * first.least_modulation_dn,
+            first.pair,
         )
         return FusedCapture(capture, weights)
 
@@ -213,10 +217,8 @@ class FocusStack:
             capture.save(root / name)
         manifest: dict[str, Any] = {"format": _FORMAT, "captures": names}
         if self.focus is not None:
-            manifest |= {
-                "camera_mm": list(self.focus.camera_mm),
-                "projector_mm": list(self.focus.projector_mm),
-            }
+            distances = self.focus.distances_mm.items()
+            manifest |= {name + _FOCUS: list(values) for name, values in distances}
         write_toml(root / MANIFEST, manifest)
 
     @classmethod
@@ -230,16 +232,18 @@ class FocusStack:
         """
         path = Path(folder) / MANIFEST
         manifest = read_toml(path)
-        for key in manifest:
-            if key not in _KEYS:
-                raise InputError(f"{path}: {key}", f"one of {sorted(_KEYS)}", "an unknown key")
         if manifest.get("format", _FORMAT) != _FORMAT:
             raise InputError(f"{path}: format", str(_FORMAT), manifest["format"])
         names = manifest.get("captures")
         if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
             raise InputError(f"{path}: captures", "a list of folders", repr(names)[:60])
         captures = _Folders(path, names)
-        return cls(captures, _focus(path, manifest), captures.frame)
+        devices = captures[0].pair
+        known = {*_KEYS, *(name + _FOCUS for name in devices)}
+        for key in manifest:
+            if key not in known:
+                raise InputError(f"{path}: {key}", f"one of {sorted(known)}", "an unknown key")
+        return cls(captures, _focus(path, manifest, devices), captures.frame)
 
 
 def read_stack(folder: str | Path) -> FocusStack:
@@ -367,22 +371,23 @@ def _check_alike(where: str, first: Capture, other: Capture) -> None:
         raise InputError(where, expected, f"{other.frames.shape} with {other.bit_depth}")
 
 
-def _focus(path: Path, manifest: dict[str, Any]) -> Focus | None:
-    keys = [key for key in ("camera_mm", "projector_mm") if key in manifest]
+def _focus(path: Path, manifest: dict[str, Any], devices: Pair) -> Focus | None:
+    wanted = [name + _FOCUS for name in devices]
+    keys = [key for key in wanted if key in manifest]
     if not keys:
         return None
-    if len(keys) == 1:
-        raise InputError(path, "camera_mm and projector_mm, or neither", keys[0])
-    distances = []
+    if len(keys) < len(wanted):
+        raise InputError(path, f"{' and '.join(wanted)}, or neither", keys[0])
+    distances: dict[str, tuple[float, ...]] = {}
     for key in keys:
         values = manifest[key]
         numbers = isinstance(values, list) and all(type(v) in (int, float) for v in values)
         if not numbers or len(values) != len(manifest["captures"]):
             expected = f"{len(manifest['captures'])} numbers, one a capture"
             raise InputError(f"{path}: {key}", expected, repr(values)[:60])
-        distances.append(tuple(float(v) for v in values))
+        distances[key.removesuffix(_FOCUS)] = tuple(float(v) for v in values)
     try:
-        return Focus(distances[0], distances[1])
+        return Focus(distances)
     except InputError as error:
         raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
 

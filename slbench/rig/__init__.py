@@ -3,13 +3,15 @@
 from slbench.rig.device import Camera, Device, Projector
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners
-from slbench.rig.rig import DesignVariables, Rig, rotation_yx
+from slbench.rig.rig import ALONE, DesignVariables, Pair, Rig, rotation_yx
 
 __all__ = [
+    "ALONE",
     "Camera",
     "DesignVariables",
     "Device",
     "Lens",
+    "Pair",
     "Pose",
     "Projector",
     "Rig",

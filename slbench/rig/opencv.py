@@ -6,8 +6,8 @@ projector; ``R``, ``T`` from camera to projector coordinates (the convention of
 coordinates (default: identity, the world is the camera's frame).  OpenCV has no word for
 apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers),
 ``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
-``body_mm_*`` (3 numbers), ``flux_w``, ``bit_depth_projector``, ``gamma_projector``,
-``volume_mm``.
+``body_mm_*`` (3 numbers), ``name_*``, ``flux_w``, ``bit_depth_projector``,
+``gamma_projector``, ``volume_mm``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from slbench.core.io import read_opencv_yaml, write_opencv_yaml
 from slbench.rig.device import Camera, Projector
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose
-from slbench.rig.rig import Rig
+from slbench.rig.rig import Pair, Rig
 
 #: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel
 #: depend on it; rays do not.
@@ -43,6 +43,7 @@ _KEYS = {
     "gamma": "gamma_{}",
     "volume": "volume_mm",
     "body": "body_mm_{}",
+    "devices": "name_{}",
 }
 
 
@@ -63,6 +64,7 @@ def write_rig(path: str | Path, rig: Rig) -> None:
     ----------
     path : path of the file to write (``.yaml`` or ``.yml``)
     rig : Rig
+        One camera and one projector (``rig.pair(...)``).
     """
     camera, projector = rig.camera, rig.projector
     relative = projector.pose.rotation.T @ camera.pose.rotation
@@ -80,6 +82,9 @@ def write_rig(path: str | Path, rig: Rig) -> None:
         if device.body_mm is not None:
             values[f"body_mm_{name}"] = np.array(device.body_mm, dtype=np.float64)
         values[f"natural_vignetting_{name}"] = int(device.lens.natural_vignetting)
+    for role, own in rig.only._asdict().items():
+        if own != role:
+            values[f"name_{role}"] = own
     values |= {
         "R": relative,
         "T": offset,
@@ -209,4 +214,6 @@ def read_rig(path: str | Path) -> Rig:
         camera = Camera(**camera_arguments, pose=camera_pose)
     with _blaming_the_file(path, "projector"):
         projector = Projector(**projector_arguments, pose=projector_pose)
-        return Rig(camera, projector, (float(volume[0]), float(volume[1]), float(volume[2])))
+        names = [str(values.values.get(f"name_{role}", role)) for role in Pair._fields]
+        size = (float(volume[0]), float(volume[1]), float(volume[2]))
+        return Rig({names[0]: camera}, {names[1]: projector}, size)

@@ -1,4 +1,7 @@
-"""A rig: one camera and one projector around a measurement volume (thesis 3.1.2).
+"""A rig: cameras and projectors by name around a measurement volume (thesis 3.1.2).
+
+What follows from one camera and one projector (angle, distances, the stages of a scan) is asked
+of the rig of a pair, :meth:`Rig.pair`; a rig of two devices is that of its only pair.
 
 **Design frame** D: origin at the projector's nodal point, x right, y down, z towards the
 object.  Six design variables fix the rig: the projector is turned by ``R_DP = Ry(alpha_P)
@@ -11,14 +14,17 @@ by pi about x.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Self
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.rig.device import Camera, Projector
+from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners
 
 Array = NDArray[np.float64]
@@ -94,25 +100,139 @@ class DesignVariables:
         return camera, projector
 
 
-@dataclass(frozen=True)
+class Pair(NamedTuple):
+    """A camera and a projector by name: what a light transport, a truth and a capture are of."""
+
+    camera: str = "camera"
+    projector: str = "projector"
+
+
+#: The names of a camera and a projector that have no others beside them.
+ALONE = Pair()
+
+
+@dataclass(frozen=True, init=False)
 class Rig:
-    """Camera, projector and measurement volume, posed in the world.
+    """Cameras, projectors and measurement volume, posed in the world; devices have names.
 
     Parameters
     ----------
-    camera : Camera
-    projector : Projector
+    camera : Camera or mapping of str to Camera
+        One camera goes by the name "camera".
+    projector : Projector or mapping of str to Projector
+        One projector goes by the name "projector".
     volume_mm : (float, float, float)
         Size of the measurement volume along the world's axes, centred on the origin.
+
+    Attributes
+    ----------
+    cameras, projectors : mapping of str to Camera or Projector
+        At least one of each; a name belongs to one device.
     """
 
-    camera: Camera
-    projector: Projector
-    volume_mm: tuple[float, float, float] = (60.0, 70.0, 30.0)
+    cameras: Mapping[str, Camera]
+    projectors: Mapping[str, Projector]
+    volume_mm: tuple[float, float, float]
 
-    def __post_init__(self) -> None:
-        if len(self.volume_mm) != 3 or not all(0 < size < np.inf for size in self.volume_mm):
-            raise InputError("rig volume", "three positive lengths (mm)", self.volume_mm)
+    def __init__(
+        self,
+        camera: Camera | Mapping[str, Camera],
+        projector: Projector | Mapping[str, Projector],
+        volume_mm: tuple[float, float, float] = (60.0, 70.0, 30.0),
+    ) -> None:
+        cameras = camera if isinstance(camera, Mapping) else {ALONE.camera: camera}
+        projectors = projector if isinstance(projector, Mapping) else {ALONE.projector: projector}
+        for name, value in (
+            ("cameras", dict(cameras)),
+            ("projectors", dict(projectors)),
+            ("volume_mm", volume_mm),
+        ):
+            object.__setattr__(self, name, value)
+        if not cameras or not projectors or set(cameras) & set(projectors):
+            expected = "cameras and projectors, each with a name of its own"
+            raise InputError("rig devices", expected, [*cameras, *projectors])
+        if len(volume_mm) != 3 or not all(0 < size < np.inf for size in volume_mm):
+            raise InputError("rig volume", "three positive lengths (mm)", volume_mm)
+
+    @property
+    def pairs(self) -> tuple[Pair, ...]:
+        """Each camera with each projector, by name."""
+        return tuple(Pair(*names) for names in product(self.cameras, self.projectors))
+
+    def pair(self, pair: Pair) -> Self:
+        """Return the rig of one camera and one projector, which keep their names.
+
+        Raises
+        ------
+        InputError
+            If the rig has no such device.
+        """
+        if pair not in self.pairs:
+            known = ", ".join("-".join(names) for names in self.pairs)
+            raise InputError("rig devices", f"a pair of {known}", "-".join(pair))
+        camera, projector = self.cameras[pair.camera], self.projectors[pair.projector]
+        return type(self)({pair.camera: camera}, {pair.projector: projector}, self.volume_mm)
+
+    @property
+    def only(self) -> Pair:
+        """Names of the only camera and the only projector.
+
+        Raises
+        ------
+        InputError
+            If there are more: a stage that is for one pair takes ``rig.pair(...)``.
+        """
+        if len(self.pairs) > 1:
+            raise InputError("rig devices", "one camera and one projector", list(self.devices))
+        return self.pairs[0]
+
+    @property
+    def camera(self) -> Camera:
+        """The only camera."""
+        return self.cameras[self.only.camera]
+
+    @property
+    def projector(self) -> Projector:
+        """The only projector."""
+        return self.projectors[self.only.projector]
+
+    @property
+    def devices(self) -> Mapping[str, Camera | Projector]:
+        """All devices by name, cameras first."""
+        return {**self.cameras, **self.projectors}
+
+    def having(self, **devices: Camera | Projector) -> Self:
+        """Return the rig with other devices under names that it has.
+
+        Examples
+        --------
+        ``rig.having(camera=replace(rig.camera, width=320))``
+        """
+        for name in devices:
+            if name not in self.devices:
+                raise InputError("rig devices", f"one of {', '.join(self.devices)}", name)
+        new: dict[str, Any] = {**self.devices, **devices}
+        return type(self)(
+            {name: new[name] for name in self.cameras},
+            {name: new[name] for name in self.projectors},
+            self.volume_mm,
+        )
+
+    def focused(self, distances_mm: Mapping[str, float]) -> Self:
+        """Return the rig with devices, by name, focused at other distances."""
+        return self._with_lenses(
+            {name: self.devices[name].lens.refocused(d) for name, d in distances_mm.items()}
+        )
+
+    def pinholes(self) -> Self:
+        """Return the rig through pinholes, to which everything is in focus."""
+        return self._with_lenses(
+            {name: replace(d.lens, aperture_radius_mm=0.0) for name, d in self.devices.items()}
+        )
+
+    def _with_lenses(self, lenses: Mapping[str, Lens]) -> Self:
+        devices = {name: replace(self.devices[name], lens=lens) for name, lens in lenses.items()}
+        return self.having(**devices)
 
     @classmethod
     def from_design(

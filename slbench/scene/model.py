@@ -155,25 +155,11 @@ class Scene:
         if self.focus is None or not 0 <= setting < len(self.focus):
             count = 0 if self.focus is None else len(self.focus)
             raise InputError(f"scene {self.name}: focus setting", f"0..{count - 1}", setting)
-        camera, projector = self.rig.camera, self.rig.projector
-        camera_lens = camera.lens.refocused(self.focus.camera_mm[setting])
-        projector_lens = projector.lens.refocused(self.focus.projector_mm[setting])
-        rig = replace(
-            self.rig,
-            camera=replace(camera, lens=camera_lens),
-            projector=replace(projector, lens=projector_lens),
-        )
-        return replace(self, rig=rig, focus=None)
+        return replace(self, rig=self.focus.rig(self.rig, setting), focus=None)
 
     def all_in_focus(self) -> Self:
         """Return the scene through pinholes: what a perfect focus stack would see."""
-        camera, projector = self.rig.camera, self.rig.projector
-        rig = replace(
-            self.rig,
-            camera=replace(camera, lens=replace(camera.lens, aperture_radius_mm=0.0)),
-            projector=replace(projector, lens=replace(projector.lens, aperture_radius_mm=0.0)),
-        )
-        return replace(self, rig=rig, focus=None)
+        return replace(self, rig=self.rig.pinholes(), focus=None)
 
     def coarser(self, divisor: int, samples: int) -> Self:
         """Return the scene seen by a camera of fewer, larger pixels, for a quick look."""
@@ -187,4 +173,4 @@ class Scene:
             # The panel's corner stays where it is; it is half a pixel from the first centre.
             principal_point=((u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5),
         )
-        return replace(self, rig=replace(self.rig, camera=smaller), samples=samples)
+        return replace(self, rig=self.rig.having(camera=smaller), samples=samples)

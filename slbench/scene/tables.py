@@ -240,7 +240,12 @@ class FocusTable(Parameters):
             return Focus.sweep(rig, heights, self.move, self.apart)
         kept = rig.camera.lens.focus_distance_mm, rig.projector.lens.focus_distance_mm
         count = len(self.camera_mm or self.projector_mm or ())
-        return Focus(self.camera_mm or (kept[0],) * count, self.projector_mm or (kept[1],) * count)
+        return Focus(
+            {
+                "camera": self.camera_mm or (kept[0],) * count,
+                "projector": self.projector_mm or (kept[1],) * count,
+            }
+        )
 
 
 class PatternsTable(Parameters):

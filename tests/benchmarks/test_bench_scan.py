@@ -36,7 +36,7 @@ camera = scene.rig.camera
 def sized(side):
     pitch = (camera.pitch_mm[0] * camera.height / side,) * 2
     device = replace(camera, width=side, height=side, pitch_mm=pitch, principal_point=None)
-    return replace(scene, rig=replace(scene.rig, camera=device))
+    return replace(scene, rig=scene.rig.having(camera=device))
 
 scan(sized(64), samples=samples)
 before = peak()

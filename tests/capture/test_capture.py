@@ -19,7 +19,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_toml, write_png, write_toml
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import NoiseModel, PatternSequence
-from slbench.rig import Camera, Lens, Pose, Projector, Rig
+from slbench.rig import Camera, Lens, Pair, Pose, Projector, Rig
 from slbench.rig.opencv import write_rig
 from slbench.scene.model import Exposure, Scene, SceneObject
 from slbench.simulate.expose import _vibrate, capture, exposure, noise_free_coordinates
@@ -218,7 +218,7 @@ def test_absolute_exposure_needs_an_aperture():
         pytest.approx(2 * factor)
     )
     camera = replace(given.rig.camera, lens=Lens(16.0))
-    pinhole = replace(given, rig=replace(given.rig, camera=camera))
+    pinhole = replace(given, rig=given.rig.having(camera=camera))
     with pytest.raises(InputError, match=r"camera aperture: expected an aperture \(f_number\)"):
         capture(pinhole, transport())
 
@@ -284,6 +284,29 @@ def test_without_noise_nothing_vibrates():
 
 
 # -- folders -------------------------------------------------------------------------------------
+
+
+def test_named_devices_keep_their_names_in_a_folder(tmp_path):
+    shots = capture(scene(), transport(), seed=1)
+    pair = Pair("left", "beamer")
+    rig = Rig({"left": shots.rig.camera}, {"beamer": shots.rig.projector}, shots.rig.volume_mm)
+    with pytest.raises(InputError, match="left"):
+        replace(shots, pair=pair)  # which the rig does not have
+    replace(shots, pair=pair, rig=rig).save(tmp_path)
+    again = Capture.load(tmp_path)
+    assert again.pair == again.rig.only == pair
+
+
+def test_a_manifest_names_devices_that_its_rig_has(tmp_path):
+    capture(scene(), transport(), seed=1).save(tmp_path)
+    manifest = tmp_path / "capture.toml"
+    assert "camera" not in read_toml(manifest)  # nothing to be said
+    manifest.write_text('camera = "top"\n' + manifest.read_text())
+    with pytest.raises(InputError, match=r"capture.toml.*camera-projector.*top-projector"):
+        Capture.load(tmp_path)
+    manifest.write_text(manifest.read_text().replace('"top"', "3", 1))
+    with pytest.raises(InputError, match=r"capture.toml: camera.*name of a device"):
+        Capture.load(tmp_path)
 
 
 @pytest.mark.parametrize("bit_depth", [8, 10, 12, 14, 16])
@@ -436,7 +459,7 @@ def test_a_rig_of_other_sizes_is_refused(part, said, tmp_path):
     photographs(tmp_path)
     other = rig()
     device = getattr(other, part)
-    write_rig(tmp_path / "rig.yaml", replace(other, **{part: replace(device, width=99)}))
+    write_rig(tmp_path / "rig.yaml", other.having(**{part: replace(device, width=99)}))
     manifest = read_toml(tmp_path / "capture.toml")
     write_toml(tmp_path / "capture.toml", manifest | {"rig": "rig.yaml"})
     with pytest.raises(InputError, match=rf"{said}: expected the rig's 99 x"):

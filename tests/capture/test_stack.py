@@ -48,23 +48,31 @@ def coloured(phase_shift=0.0, modulation=60.0, mean=100.0, seed=0, sigma=0.0):
 # -- settings -----------------------------------------------------------------------------
 
 
+def focused(camera_mm, projector_mm):
+    """Return settings of a rig with one camera and one projector."""
+    return Focus({"camera": camera_mm, "projector": projector_mm})
+
+
 def test_a_sweep_focuses_on_points_above_the_origin():
     rig = load_scene("ch8-plane").rig
     focus = Focus.sweep(rig, (-0.2, 0.0, 0.1))
     # 20 mm from the origin, axes 12.5 and 37.5 deg from the vertical: a point at height z is
     # z cos(angle) nearer along the axis.
-    for distances, angle in ((focus.camera_mm, 12.5), (focus.projector_mm, 37.5)):
+    for distances, angle in (
+        (focus.distances_mm["camera"], 12.5),
+        (focus.distances_mm["projector"], 37.5),
+    ):
         expected = 20.0 - np.array([-0.2, 0.0, 0.1]) * np.cos(np.deg2rad(angle))
         np.testing.assert_allclose(distances, expected, atol=1e-5)
     kept = Focus.sweep(rig, (-0.2, 0.1), "camera")
-    assert kept.projector_mm == (rig.projector.lens.focus_distance_mm,) * 2
+    assert kept.distances_mm["projector"] == (rig.projector.lens.focus_distance_mm,) * 2
     apart = Focus.sweep(rig, (-0.2, 0.1), apart=True)
     assert len(apart) == 4
-    assert len(set(zip(apart.camera_mm, apart.projector_mm, strict=True))) == 4
+    assert len(set(zip(*apart.distances_mm.values(), strict=True))) == 4
 
 
 def test_settings_change_the_focus_and_nothing_else():
-    scene = replace(load_scene("ch8-plane"), focus=Focus((19.0, 20.5), (20.0, 21.0)))
+    scene = replace(load_scene("ch8-plane"), focus=focused((19.0, 20.5), (20.0, 21.0)))
     second = scene.focused(1)
     assert second.focus is None
     assert second.rig.camera.lens.focus_distance_mm == 20.5
@@ -101,7 +109,9 @@ def test_scene_files_say_settings_in_four_ways(tmp_path, table, count):
     if "settings" in table:  # the middles of slices of the volume's 0.5 mm
         cosine = np.cos(np.deg2rad(12.5))
         np.testing.assert_allclose(
-            focus.camera_mm, 20.0 - cosine * np.array([-0.2, -0.1, 0, 0.1, 0.2]), atol=1e-5
+            focus.distances_mm["camera"],
+            20.0 - cosine * np.array([-0.2, -0.1, 0, 0.1, 0.2]),
+            atol=1e-5,
         )
 
 
@@ -134,7 +144,7 @@ def test_settings_that_cannot_be_are_refused(tmp_path, table):
 
 def test_a_stack_comes_back_from_its_folder(tmp_path):
     captures = [coloured(seed=k, sigma=2.0) for k in range(3)]
-    stack = FocusStack(captures, Focus((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
+    stack = FocusStack(captures, focused((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
     stack.save(tmp_path / "stack")
     back = FocusStack.load(tmp_path / "stack")
     assert back.focus == stack.focus
@@ -384,13 +394,13 @@ def test_scan_of_a_stack(speckled, tmp_path):
 
 def test_all_settings_have_the_exposure_of_the_middle():
     scene = scene_of([SceneObject(objects.build("plane", {"size_mm": [80, 80]}))])
-    scene = replace(scene, focus=Focus((400.0, 450.0, 500.0), (800.0, 800.0, 800.0)))
+    scene = replace(scene, focus=focused((400.0, 450.0, 500.0), (800.0, 800.0, 800.0)))
     stack = capture_stack(scene)
     middle = with_lit_frame(scene).focused(1)
     expected = exposure(middle, trace(middle))[1]
     np.testing.assert_allclose([c.exposure_s for c in stack.captures], expected, rtol=1e-12)
     # Noise is drawn anew for every setting.
-    same = replace(scene, focus=Focus((450.0, 450.0), (800.0, 800.0)))
+    same = replace(scene, focus=focused((450.0, 450.0), (800.0, 800.0)))
     first, second = capture_stack(same).captures
     assert np.any(first.frames != second.frames)
     with pytest.raises(InputError, match="settings of a stack"):

@@ -209,7 +209,7 @@ class TestHdf5:
         item = data[0]
         lens = Lens.telecentric(0.1, 0.01, 300.0)
         changed = replace(getattr(item.rig, device), lens=lens)
-        item.__dict__["rig"] = replace(item.rig, **{device: changed})
+        item.__dict__["rig"] = item.rig.having(**{device: changed})
         with pytest.raises(InputError, match=f"sample 000000.*perspective {device}.*telecentric"):
             export(_only(data, [item]), tmp_path / "x.h5", "hdf5", RECIPE)
         assert list(tmp_path.iterdir()) == []
@@ -380,7 +380,7 @@ class TestBop:
     def test_other_lenses_are_refused(self, data, tmp_path):
         item = data[0]
         rig = item.rig
-        bent = replace(rig, camera=replace(rig.camera, distortion=(0.1, 0, 0, 0, 0)))
+        bent = rig.having(camera=replace(rig.camera, distortion=(0.1, 0, 0, 0, 0)))
         item.__dict__["rig"] = bent
 
         with pytest.raises(InputError, match="distortion"):

@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from slbench.core.errors import InputError
-from slbench.rig import Camera, DesignVariables, Lens, Projector, Rig, rotation_yx
+from slbench.rig import Camera, DesignVariables, Lens, Pair, Projector, Rig, rotation_yx
 
 CAMERA = Camera(640, 480, (0.0074, 0.0074), Lens(16.0))
 PROJECTOR = Projector(1024, 768, (0.0108, 0.0108), Lens(28.0))
@@ -140,3 +140,40 @@ class TestBadInput:
     def test_volume(self, size):
         with pytest.raises(InputError, match="rig volume: expected three positive lengths"):
             Rig(CAMERA, PROJECTOR, size)
+
+
+def two_cameras():
+    return Rig({"left": CAMERA, "right": replace(CAMERA, width=320)}, PROJECTOR)
+
+
+def test_a_rig_of_two_cameras_falls_into_pairs_that_keep_their_names():
+    rig = two_cameras()
+    assert rig.pairs == (("left", "projector"), ("right", "projector"))
+    right = rig.pair(rig.pairs[1])
+    assert right.camera.width == 320
+    assert right.only == ("right", "projector")
+    assert right.projector is rig.projectors["projector"]
+
+
+def test_one_of_two_cameras_has_to_be_named():
+    rig = two_cameras()
+    with pytest.raises(InputError, match="left"):
+        _ = rig.camera
+    with pytest.raises(InputError, match="right-projector"):
+        rig.pair(Pair("top", "projector"))
+    with pytest.raises(InputError, match="left, right"):
+        rig.having(camera=CAMERA)
+
+
+@pytest.mark.parametrize("cameras", [{}, {"projector": CAMERA}])
+def test_each_device_has_a_name_of_its_own(cameras):
+    with pytest.raises(InputError, match="rig devices"):
+        Rig(cameras, PROJECTOR)
+
+
+def test_a_changed_device_keeps_its_name_and_the_others():
+    rig = two_cameras().having(left=replace(CAMERA, width=64))
+    assert [camera.width for camera in rig.cameras.values()] == [64, 320]
+    assert rig.pinholes().cameras["left"].lens.aperture_radius_mm == 0.0
+    assert rig.focused({"right": 300.0}).cameras["right"].lens.focus_distance_mm == 300.0
+    assert rig.focused({"right": 300.0}).cameras["left"] == rig.cameras["left"]

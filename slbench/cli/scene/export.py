@@ -35,7 +35,7 @@ def export(
     if pinhole:
         projector = loaded.rig.projector
         lens = replace(projector.lens, aperture_radius_mm=0.0, natural_vignetting=False)
-        loaded = replace(loaded, rig=replace(loaded.rig, projector=replace(projector, lens=lens)))
+        loaded = replace(loaded, rig=loaded.rig.having(projector=replace(projector, lens=lens)))
     axis, profile = loaded.sequence.profile(frame)
     projector = loaded.rig.projector
     values = panel_response(profile, projector.bit_depth, projector.gamma)

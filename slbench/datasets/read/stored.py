@@ -203,7 +203,7 @@ class Sample:
             changes["exposure"] = exposure
         if gamma is not None:
             projector = replace(scene.rig.projector, gamma=gamma)
-            changes["rig"] = replace(scene.rig, projector=projector)
+            changes["rig"] = scene.rig.having(projector=projector)
         light = self._light if detector is None and exposure is None else None
         scene = replace(scene, **changes)
         return capture(scene, self.transport, seed=seed, noise=noise, light=light)

@@ -184,8 +184,7 @@ class Hardware:
         if not isinstance(variables, DesignVariables):
             variables = DesignVariables(*(float(x) for x in as_configurations(variables)[0]))
         rig = Rig.from_design(variables, self.camera, self.projector, self.volume_mm)
-        return replace(
-            rig,
+        return rig.having(
             camera=self.focused(rig.camera, rig.camera_distance),
             projector=self.focused(rig.projector, rig.projector_distance),
         )

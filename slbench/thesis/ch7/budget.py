@@ -116,7 +116,7 @@ def ideal(scene: Scene) -> Scene:
     projector = replace(pinholes.rig.projector, bit_depth=None, gamma=1.0)
     return replace(
         pinholes,
-        rig=replace(pinholes.rig, projector=projector),
+        rig=pinholes.rig.having(projector=projector),
         detector=Detector(
             bit_depth=16,
             full_well_e=_BOTTOMLESS,
@@ -155,12 +155,12 @@ def variations(
 
     def shown(**changes: Any) -> Scene:
         projector = replace(base.rig.projector, **changes)
-        return replace(base, rig=replace(base.rig, projector=projector))
+        return replace(base, rig=base.rig.having(projector=projector))
 
     shot = seen(full_well_e=real.full_well_e)
     still = replace(base.exposure, vibration_px=vibration_px)
     linear = replace(scene.rig.projector, bit_depth=None, gamma=1.0)
-    open_lenses = replace(base, rig=replace(scene.rig, projector=linear))
+    open_lenses = replace(base, rig=scene.rig.having(projector=linear))
     albedo = scene.objects[0].material.albedo
     white = float(np.median(transport.white()[transport.white() > 0]))
     ambient = Light(ambient_w_per_mm2=_AMBIENT * math.pi * white / albedo)

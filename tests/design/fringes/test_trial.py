@@ -24,7 +24,7 @@ REPEATS = 12
 def with_projector_lens(scene, **values):
     projector = scene.rig.projector
     lens = replace(projector.lens, **values)
-    return replace(scene, rig=replace(scene.rig, projector=replace(projector, lens=lens)))
+    return replace(scene, rig=scene.rig.having(projector=replace(projector, lens=lens)))
 
 
 @pytest.fixture(scope="module")
