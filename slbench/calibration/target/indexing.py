@@ -323,24 +323,6 @@ def _inverse(homography: Array) -> Array:
 
 
 def _homography(source: Array, target: Array) -> Array:
-    """Fit a homography to n >= 4 pairs by the normalised DLT (Hartley, Zisserman, 4.4)."""
-    scale_s, scale_t = _normalising(source), _normalising(target)
-    x, y = _apply(scale_s, source).T
-    u, v = _apply(scale_t, target).T
-    one, nil = np.ones_like(x), np.zeros_like(x)
-    rows = np.concatenate(
-        (
-            np.stack((x, y, one, nil, nil, nil, -u * x, -u * y, -u), axis=1),
-            np.stack((nil, nil, nil, x, y, one, -v * x, -v * y, -v), axis=1),
-        )
-    )
-    solution = np.linalg.svd(rows, full_matrices=False)[2][-1].reshape(3, 3)
-    fitted: Array = np.linalg.inv(scale_t) @ solution @ scale_s
-    return fitted / np.linalg.norm(fitted)
-
-
-def _normalising(points: Array) -> Array:
-    """Return the similarity that centres points and scales them to unit size."""
-    middle = points.mean(axis=0)
-    size = max(float(np.sqrt(((points - middle) ** 2).sum(axis=1).mean() / 2.0)), 1e-12)
-    return np.array([[1 / size, 0, -middle[0] / size], [0, 1 / size, -middle[1] / size], [0, 0, 1]])
+    """Fit a homography to n >= 4 pairs; zeros where the points determine none."""
+    fitted, _ = cv2.findHomography(source, target)
+    return np.zeros((3, 3)) if fitted is None else fitted
