@@ -11,6 +11,7 @@ edges, or of a corner and a face (C. Ericson, "Real-Time Collision Detection", 2
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
@@ -221,67 +222,9 @@ def coverage(points: ArrayLike, width: int, height: int) -> Array:
     corners = np.ascontiguousarray(points, dtype=np.float64)
     if corners.ndim != 3 or corners.shape[2] != 2 or corners.shape[1] < 3:
         raise InputError("points on the panel", "an array (n, m, 2), m > 2", corners.shape)
-    out = np.empty(len(corners))
-    _coverages(corners, width, height, out)
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _coverage(corners, width, height):  # type: ignore[no-untyped-def]
-    """Share of the panel inside the convex hull of points (m, 2), in pixels.
-
-    The hull by Andrew's monotone chain, clipped to the panel side by side (Sutherland and
-    Hodgman), measured by the shoelace formula.
-    """
-    if np.isnan(corners).any():
-        return np.nan
-    points = corners[np.argsort(corners[:, 0])]
-    for i in range(1, len(points)):  # equal u: by v
-        j = i
-        while j > 0 and points[j, 0] == points[j - 1, 0] and points[j, 1] < points[j - 1, 1]:
-            points[j, 1], points[j - 1, 1] = points[j - 1, 1], points[j, 1]
-            j -= 1
-    polygon = np.empty((4 * len(points) + 8, 2))
-    n = 0
-    for turn in range(2):
-        start = n
-        for step in range(len(points)):
-            p = points[step] if turn == 0 else points[len(points) - 1 - step]
-            while n - start >= 2:
-                u, v = polygon[n - 1] - polygon[n - 2], p - polygon[n - 2]
-                if u[0] * v[1] - u[1] * v[0] > 0.0:
-                    break
-                n -= 1
-            polygon[n] = p
-            n += 1
-        n -= 1  # the last point starts the other chain
-    clipped = np.empty_like(polygon)
-    for axis in range(2):
-        for side in range(2):
-            limit = -0.5 if side == 0 else (width if axis == 0 else height) - 0.5
-            sign = 1.0 if side == 0 else -1.0
-            kept = 0
-            for k in range(n):
-                p, q = polygon[k], polygon[(k + 1) % n]
-                inside = sign * (p[axis] - limit)
-                beyond = sign * (q[axis] - limit)
-                if inside >= 0.0:
-                    clipped[kept] = p
-                    kept += 1
-                if (inside >= 0.0) != (beyond >= 0.0):
-                    clipped[kept] = p + (q - p) * (inside / (inside - beyond))
-                    kept += 1
-            polygon[:kept] = clipped[:kept]
-            n = kept
-    area = 0.0
-    for k in range(n):
-        p, q = polygon[k], polygon[(k + 1) % n]
-        area += p[0] * q[1] - p[1] * q[0]
-    return 0.5 * abs(area) / (width * height)
-
-
-@njit(parallel=True, cache=True, nogil=True)
-def _coverages(corners, width, height, out):  # type: ignore[no-untyped-def]
-    """Apply :func:`_coverage` to each."""
-    for i in prange(len(out)):
-        out[i] = _coverage(corners[i], width, height)
+    share = np.full(len(corners), np.nan)
+    seen = np.isfinite(corners).all(axis=(1, 2))
+    hulls = shapely.convex_hull(shapely.multipoints(corners[seen]))
+    panel = shapely.clip_by_rect(hulls, -0.5, -0.5, width - 0.5, height - 0.5)
+    share[seen] = shapely.area(panel) / (width * height)
+    return share
