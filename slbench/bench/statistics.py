@@ -1,11 +1,9 @@
 """Intervals for what repeated scans measure.
 
-*Medians over pixels* come with the interval of their order statistics (distribution-free;
-Conover, "Practical Nonparametric Statistics", 3.2).  Neighbouring pixels share what the
-detector does not: surface, light, defocus.  Where that matters the bootstrap draws whole
-tiles of pixels instead of single ones.
-
 *Means over repeats* come with Student's interval: repeats are independent by their seeds.
+
+*Other statistics of repeats* come with the bootstrap's percentile interval (Efron and Tibshirani,
+"An Introduction to the Bootstrap", 13.3).
 """
 
 from __future__ import annotations
@@ -14,13 +12,15 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+import scipy.stats
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import binom, t
 
 from slbench.core.errors import InputError
 from slbench.core.random import generator
 
 Array = NDArray[np.float64]
+
+_RESAMPLES = 2000
 
 
 class Interval(NamedTuple):
@@ -41,56 +41,36 @@ def mean_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
     confidence : float
     """
     x = _checked(values, confidence)
-    half = float(t.ppf(0.5 + 0.5 * confidence, len(x) - 1) * x.std(ddof=1) / np.sqrt(len(x)))
+    # Not t.interval, which is not a number where all values are equal.
+    factor = scipy.stats.t.ppf(0.5 + 0.5 * confidence, len(x) - 1)
+    half = float(factor * x.std(ddof=1) / np.sqrt(len(x)))
     mean = float(x.mean())
     return Interval(mean, mean - half, mean + half)
 
 
-def median_interval(values: ArrayLike, confidence: float = 0.95) -> Interval:
-    """Return the median with the interval of its order statistics.
-
-    Parameters
-    ----------
-    values : (n,) float
-        At least two; all finite.  Independent; for pixels see the module's docstring.
-    confidence : float
-        Reached or exceeded where there are values enough (six for 0.95).
-    """
-    x = np.sort(_checked(values, confidence))
-    n = len(x)
-    # P(the k-th smallest is below the median): binomial; k counts from 1.
-    k = int(binom.ppf(0.5 - 0.5 * confidence, n, 0.5))
-    return Interval(float(np.median(x)), float(x[max(k - 1, 0)]), float(x[min(n - k, n - 1)]))
-
-
-def bootstrap(
-    statistic: Callable[[NDArray[np.intp]], ArrayLike],
-    n: int,
-    seed: int,
-    resamples: int = 2000,
-) -> Array:
-    """Return a statistic of `resamples` draws with replacement from n units.
+def bootstrap_interval(
+    statistic: Callable[[NDArray[np.intp]], float], n: int, seed: int
+) -> tuple[float, float]:
+    """Return Efron's 95 % percentile interval of a statistic of n units.
 
     Parameters
     ----------
     statistic : callable
-        Takes (n,) indices of units (tiles of pixels, repeats), returns (k,) numbers.
+        Takes (n,) indices of units that were drawn with replacement (repeats, blocks of
+        positions), returns a number.  What it computes from one draw is paired.
     n : int
-        Units.
+        Units, at least two.
     seed : int
-    resamples : int
-
-    Returns
-    -------
-    (resamples, k) float
-        Percentiles along the first axis are confidence limits (Efron's percentile interval).
-        Statistics that are computed from one draw are paired.
     """
-    if n < 2:
-        raise InputError("bootstrap", "at least two units", n)
-    rng = generator(seed)
-    rows = [np.atleast_1d(np.asarray(statistic(rng.integers(n, size=n)))) for _ in range(resamples)]
-    return np.array(rows, float)
+    found = scipy.stats.bootstrap(
+        (np.arange(n),),
+        statistic,
+        n_resamples=_RESAMPLES,
+        vectorized=False,
+        method="percentile",
+        rng=generator(seed),
+    )
+    return float(found.confidence_interval.low), float(found.confidence_interval.high)
 
 
 def percentile_interval(draws: ArrayLike, confidence: float = 0.95) -> tuple[float, float]:

@@ -27,9 +27,10 @@ from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
+import scipy.stats
 from numpy.typing import NDArray
 
-from slbench.bench.statistics import bootstrap
+from slbench.core.errors import InputError
 from slbench.core.random import generator
 
 Array = NDArray[np.float64]
@@ -41,6 +42,8 @@ _TILES = 400
 _LEAST_SIDE = 8
 #: Draws of the bootstrap; more for many pairs, so that a p value can survive the correction.
 _RESAMPLES, _RESAMPLES_PER_PAIR = 2000, 80
+#: Draws of all tiles that are in memory at once.
+_AT_ONCE = 1000
 #: Probability of one or more false alarms among all pairs.
 FAMILY_ERROR = 0.05
 #: Parts into which sorted pixels are cut, each with its counts by tile.
@@ -193,14 +196,24 @@ def bootstrap_medians(
         For a single tile.
     """
     count = int(tiles.max()) + 1
+    if count < 2:
+        raise InputError("bootstrap", "at least two tiles", count)
     medians = [TiledMedian(one, tiles) for one in values.values()]
 
-    def statistic(drawn: NDArray[np.intp]) -> list[float]:
-        weights = np.bincount(drawn, minlength=count).astype(np.float64)
-        return [median(weights) for median in medians]
+    def statistic(drawn: NDArray[np.intp], axis: int) -> Array:
+        weights = np.apply_along_axis(np.bincount, axis, drawn, minlength=count)
+        return np.array([[median(row) for row in weights.astype(float)] for median in medians])
 
-    draws = bootstrap(statistic, count, seed, resamples)
-    return dict(zip(values, draws.T, strict=True))
+    found = scipy.stats.bootstrap(
+        (np.arange(count),),
+        statistic,
+        n_resamples=resamples,
+        batch=_AT_ONCE,
+        vectorized=True,
+        method="percentile",
+        rng=generator(seed),
+    )
+    return dict(zip(values, found.bootstrap_distribution, strict=True))
 
 
 def spread_draws(repeats: int, seed: int, resamples: int) -> Array:

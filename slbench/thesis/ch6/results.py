@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.statistics import Interval, bootstrap, percentile_interval
+from slbench.bench.statistics import Interval, bootstrap_interval
 from slbench.thesis import published as thesis
 
 Array = NDArray[np.float64]
@@ -34,9 +34,11 @@ class PlaneSweep:
         count = len(self.heights_mm)
         blocks = np.array_split(np.arange(count), min(count, _BLOCKS))
         means = np.array([[row[b].mean() for b in blocks] for row in values])
-        draws = bootstrap(lambda k: means[0, k].mean() / means[1, k].mean(), len(blocks), seed)
         value = float(values[0].mean() / values[1].mean())
-        return Interval(value, *percentile_interval(draws[:, 0]))
+        limits = bootstrap_interval(
+            lambda k: means[0, k].mean() / means[1, k].mean(), len(blocks), seed
+        )
+        return Interval(value, *limits)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +55,11 @@ class StepHeights:
     def ratio(self, seed: int) -> Interval:
         """Return the ratio of RMS errors, optimal over feasible, with its interval."""
         squares = (self.errors_mm**2).mean(axis=2)
-        draws = bootstrap(
+        value = float(np.sqrt(squares[0].mean() / squares[1].mean()))
+        limits = bootstrap_interval(
             lambda k: np.sqrt(squares[0, k].mean() / squares[1, k].mean()), squares.shape[1], seed
         )
-        value = float(np.sqrt(squares[0].mean() / squares[1].mean()))
-        return Interval(value, *percentile_interval(draws[:, 0]))
+        return Interval(value, *limits)
 
 
 @dataclass(frozen=True, eq=False)

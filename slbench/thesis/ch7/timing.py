@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.statistics import Interval, bootstrap, percentile_interval
+from slbench.bench.statistics import Interval, bootstrap_interval
 from slbench.cloud.triangulation import triangulate
 from slbench.scene.model import Scene
 from slbench.simulate.expose import capture
@@ -56,8 +56,8 @@ class Timing:
         def ratio(turns: NDArray[np.intp]) -> float:
             return float(typical(first[turns]) / typical(second[turns]))
 
-        draws = bootstrap(ratio, len(first), seed)
-        return Interval(ratio(np.arange(len(first))), *percentile_interval(draws[:, 0]))
+        limits = bootstrap_interval(ratio, len(first), seed)
+        return Interval(ratio(np.arange(len(first))), *limits)
 
 
 def typical(seconds: Array) -> Array:
