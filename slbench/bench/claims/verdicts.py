@@ -33,7 +33,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import betaincinv, ndtri, stdtrit
+from scipy.stats import beta, norm, t
 
 from slbench.bench.statistics import Interval, mean_interval
 
@@ -163,8 +163,8 @@ def judge_each(
 def share_interval(k: int, n: int, confidence: float) -> Interval:
     """Return the share k / n with the exact interval of Clopper and Pearson."""
     tail = 0.5 * (1.0 - confidence)
-    low = float(betaincinv(k, n - k + 1, tail)) if k else 0.0
-    high = float(betaincinv(k + 1, n - k, 1.0 - tail)) if k < n else 1.0
+    low = float(beta.ppf(tail, k, n - k + 1)) if k else 0.0
+    high = float(beta.ppf(1.0 - tail, k + 1, n - k)) if k < n else 1.0
     return Interval(k / n, low, high)
 
 
@@ -184,8 +184,7 @@ def _repeats_for_mean(margin: Array, confidence: float) -> int | None:
     """Return the number of repeats that would tell the mean margin from zero."""
     mean, spread = abs(float(margin.mean())), float(margin.std(ddof=1))
     n = _candidates(len(margin) + 1)
-    # stdtrit is Student's quantile, for many n at once.
-    factor = stdtrit(n - 1, 0.5 + 0.5 * confidence) + stdtrit(n - 1, POWER)
+    factor = t.ppf(0.5 + 0.5 * confidence, n - 1) + t.ppf(POWER, n - 1)
     return _first(n, factor * spread / np.sqrt(n) <= mean)
 
 
@@ -194,12 +193,12 @@ def _repeats_for_share(found: float, share: float, confidence: float, start: int
     n = _candidates(start + 1)
     tail = 0.5 * (1.0 - confidence)
     # As seen, less what chance may take: POWER of all runs are nearer to what was seen.
-    slack = ndtri(POWER) * np.sqrt(found * (1.0 - found) * n)
+    slack = norm.ppf(POWER) * np.sqrt(found * (1.0 - found) * n)
     if found > share:
         k = np.clip(np.floor(found * n - slack), 1, n)
-        return _first(n, betaincinv(k, n - k + 1, tail) >= share)
+        return _first(n, beta.ppf(tail, k, n - k + 1) >= share)
     k = np.clip(np.ceil(found * n + slack), 0, n - 1)
-    return _first(n, betaincinv(k + 1, n - k, 1.0 - tail) < share)
+    return _first(n, beta.ppf(1.0 - tail, k + 1, n - k) < share)
 
 
 def _candidates(start: int) -> Array:
