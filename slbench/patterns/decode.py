@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
-from slbench.patterns import _kernels
 from slbench.patterns.codes import Axis, Flat, Fringes, GrayCode
 from slbench.patterns.phase import FloatArray, NoiseModel
 from slbench.patterns.sequence import PatternSequence
@@ -228,6 +227,8 @@ def _decode_axis(
     keep_relative: bool,
 ) -> _AxisResult:
     """Decode one axis; `checked` are the frames to search for saturated pixels."""
+    from slbench.patterns import _kernels  # Numba takes half a second
+
     n_pixels = pixels.shape[1]
     size = sequence.size(axis)
     reference = np.empty(0)
@@ -280,6 +281,8 @@ def _decode_gray(
     pixels: NDArray[Any], sequence: PatternSequence, first: int, code: GrayCode
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return column, contrast and mean of a Gray code, (P,) each."""
+    from slbench.patterns import _kernels
+
     threshold = np.empty(0)
     if not code.inverse:
         flats: dict[float, list[int]] = {0.0: [], 1.0: []}

@@ -27,8 +27,6 @@ from typing import overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import erfc
-from skimage.restoration import unwrap_phase
 
 from slbench.core.errors import InputError
 
@@ -184,6 +182,8 @@ def unwrap_spatially(phase: ArrayLike, mask: ArrayLike | None = None) -> FloatAr
     InputError
         If the phase is no image, the mask of another shape, or nothing is valid.
     """
+    from skimage.restoration import unwrap_phase
+
     try:
         relative = np.asarray(phase)
     except ValueError:  # rows of different lengths
@@ -238,6 +238,8 @@ def order_error_probability(
     InputError
         For negative deviations or fringe counts that are not positive.
     """
+    from scipy.special import erfc
+
     deviations = np.asarray(sigma_reference, np.float64), np.asarray(sigma, np.float64)
     for name, value in zip(("sigma_reference", "sigma"), deviations, strict=True):
         if not np.all(value >= 0.0):
