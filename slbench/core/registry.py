@@ -26,6 +26,10 @@ from slbench.core.errors import InputError
 
 T = TypeVar("T")
 
+#: Whose the rows of slbench's own tables are (:meth:`Registry.origin`).
+OWN = "slbench"
+#: So many names are a list.
+_MANY = 4
 #: Names and versions of the installed packages of which something was used.
 _packages: dict[str, str] = {}
 #: Modules that are being run (:func:`adding`), the innermost last, and how to undo their rows.
@@ -80,7 +84,7 @@ class Registry(Generic[T]):
     def origin(self, name: str) -> str:
         """Return where a name comes from: ``slbench``, a package and its version, or a module."""
         if name in self._rows:
-            return "slbench"
+            return OWN
         if name in self._added:
             return self._added[name]
         return _package(self._points()[name][0])
@@ -104,7 +108,9 @@ class Registry(Generic[T]):
             if name not in self._found:
                 self._found[name] = self._imported(name)
             return self._found[name]
-        raise InputError(where or self.kind, " or ".join(self.names()), quoted(name, self.names()))
+        names = self.names()
+        expected = " or ".join(names) if len(names) < _MANY else f"one of {', '.join(names)}"
+        raise InputError(where or self.kind, expected, quoted(name, names))
 
     def add(self, name: str, value: T) -> None:
         """Add a row from outside slbench.
@@ -148,7 +154,7 @@ class Registry(Generic[T]):
     def _imported(self, name: str) -> T:
         where = f"{self.kind} {name!r}"
         points = self._points().get(name, [])
-        owners = ["slbench"] * (name in self._rows) + [_package(point) for point in points]
+        owners = [OWN] * (name in self._rows) + [_package(point) for point in points]
         if len(owners) > 1:
             raise InputError(where, "a name that one package has", " and ".join(owners))
         if name in self._rows:

@@ -196,7 +196,7 @@ class Artefact:
     name : str
         What to call it in tables.
     kind : str
-        A key of :data:`slbench.objects.KINDS`.
+        A name of :data:`slbench.objects.registry.artefacts`.
     parameters : mapping
         What it was built from, defaults included.
     mesh : Mesh

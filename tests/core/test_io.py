@@ -516,7 +516,7 @@ def test_provenance_says_what_made_the_result(tmp_path):
 
 def test_provenance_does_not_import_the_renderer():
     code = (
-        "import sys; from slbench import io; io.provenance({}, None);"
+        "import sys; from slbench.core import io; io.provenance({}, None);"
         "print([m for m in ('mitsuba', 'drjit') if m in sys.modules])"
     )
     output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -12,8 +12,8 @@ from slbench.core.validation import validated
 
 def fresh(kind, parameters, where="parameters"):
     """Build past the cache."""
-    model, build = objects.KINDS[kind][:2]
-    return build(validated(model, parameters, where), kind, where)
+    row = objects.artefacts.get(kind)
+    return row.build(validated(row.parameters, parameters, where), kind, where)
 
 
 def check_solid(mesh, genus=0):

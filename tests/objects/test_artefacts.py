@@ -2,6 +2,8 @@
 
 import itertools
 import math
+import subprocess
+import sys
 
 import manifold3d
 import numpy as np
@@ -445,3 +447,22 @@ def test_points_that_are_nan_lie_over_no_face():
     face = PlaneFeature("reference", 0.0, 0.0, (0.0, 1.0), (0.0, 1.0))
     points = np.array([[[0.5, 0.5, 9.0], [np.nan, 0.5, 0.0]], [[1.5, 0.5, 0.0], [1, 1, 0]]])
     assert face.contains(points).tolist() == [[True, False], [False, True]]
+
+
+def test_no_builder_is_imported_before_it_is_asked_for():
+    code = (
+        "import sys; from slbench import objects; names = objects.artefacts.names();"
+        "print(len(names), [m for m in sys.modules if m.startswith('slbench.objects.')"
+        " and m.count('.') > 2])"
+    )
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    count, found = output.stdout.split(maxsplit=1)
+    assert int(count) >= 19, output.stderr
+    assert found.strip() == "[]"
+
+
+def test_the_kind_of_every_row_is_its_name():
+    for name in objects.artefacts:
+        row = objects.artefacts.get(name)
+        assert row.build.__name__.startswith("build_"), name
+        assert all(key in row.parameters.model_fields for key in row.files), name

@@ -1,5 +1,6 @@
 """The cache of built artefacts: the same artefact as building, whatever happens to its files."""
 
+import dataclasses
 import multiprocessing
 import os
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from slbench import objects
 from slbench.objects import cache
+from slbench.objects.shapes import stepblock
 
 PARAMETERS = {"heights_mm": [1.0, 2.5], "step_length_mm": 10.0, "width_mm": 20.0}
 
@@ -34,7 +36,7 @@ def test_the_cached_artefact_is_the_built_one(folder, monkeypatch):
     first = objects.build("step_block", PARAMETERS, name="block")
     entries = list(folder.glob("*.npz"))
     assert len(entries) == 1
-    monkeypatch.setattr(objects, "KINDS", objects.KINDS | {"step_block": _unbuildable()})
+    monkeypatch.setitem(objects.artefacts._found, "step_block", _unbuildable())
     assert equal(objects.build("step_block", PARAMETERS, name="block"), first)
     assert objects.build("step_block", PARAMETERS, name="other").name == "other"
 
@@ -43,7 +45,7 @@ def _unbuildable() -> objects.ArtefactKind:
     def refuse(*arguments: object) -> objects.Artefact:
         raise AssertionError("built although it is cached")
 
-    return objects.KINDS["step_block"]._replace(build=refuse)
+    return dataclasses.replace(stepblock.KIND, build=refuse)
 
 
 def test_other_parameters_are_another_entry(folder):

@@ -65,8 +65,8 @@ def shipped(name):
 
 def rebuilt(kind, parameters):
     """Build without the cache."""
-    checked = objects.KINDS[kind].parameters.model_validate(parameters)
-    return objects.KINDS[kind].build(checked, kind, "parameters")
+    checked = objects.artefacts.get(kind).parameters.model_validate(parameters)
+    return objects.artefacts.get(kind).build(checked, kind, "parameters")
 
 
 def check_pierced_solid(mesh):

@@ -32,6 +32,7 @@ from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import plain
 from slbench.core.random import tagged_seed
+from slbench.objects.registry import artefacts
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene, SceneObject
 from slbench.simulate.scan import scan
@@ -189,8 +190,9 @@ class Pools:
 def _made_of(item: SceneObject) -> dict[str, Any]:
     """Return what an artefact is built from; wherever its files stand."""
     artefact = item.artefact
-    values = {key: value for key, value in artefact.parameters.items() if key != "path"}
-    if artefact.kind == "mesh":
+    files = artefacts.get(artefact.kind).files
+    values = {key: value for key, value in artefact.parameters.items() if key not in files}
+    if files:
         values |= {part: _digest(getattr(artefact.mesh, part).tobytes()) for part in _MESH}
     return {"kind": artefact.kind, "parameters": values}
 

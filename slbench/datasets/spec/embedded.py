@@ -15,7 +15,7 @@ from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
 from slbench.core.validation import shown
-from slbench.objects import KINDS
+from slbench.objects.registry import artefacts
 
 
 def embedded(
@@ -52,9 +52,7 @@ def embedded(
         parameters = content.get("parameters", {})
         if not isinstance(parameters, dict):
             raise InputError(f"{artefact}: parameters", "a table", shown(parameters))
-        if not isinstance(content.get("kind"), str):
-            expected = f"one of {', '.join((*KINDS, 'mesh'))}"
-            raise InputError(f"{artefact}: kind", expected, shown(content.get("kind")))
+        artefacts.get(content.get("kind"), f"{artefact}: kind")
         parameters = dict(parameters)
         if content["kind"] == "mesh":
             parameters["mesh"] = parameters.pop("path", None)
@@ -62,20 +60,32 @@ def embedded(
             path = source
         else:
             table["kind"], table["parameters"] = content["kind"], parameters
+            path = source
+    for key in _file_parameters(table):
+        name = _taken_in(path, table["parameters"][key], f"{where}.parameters.{key}", files)
+        table["parameters"] = {**table["parameters"], key: name}
     mesh = table.get("mesh")
     if isinstance(mesh, str):
-        table["mesh"] = _mesh(path, mesh, where, files)
+        table["mesh"] = _taken_in(path, mesh, f"{where}.mesh", files)
     elif isinstance(mesh, dict) and all(isinstance(m, str) for m in mesh.get("choice", [0])):
-        choice = [_mesh(path, name, where, files) for name in mesh["choice"]]
+        choice = [_taken_in(path, name, f"{where}.mesh", files) for name in mesh["choice"]]
         table["mesh"] = {**mesh, "choice": choice}
     elif mesh is not None:
         raise InputError(f"{path.name}: {where}.mesh", "a file, or a choice of files", repr(mesh))
     return table
 
 
-def _mesh(path: Path, name: str, where: str, files: dict[str, bytes]) -> str:
+def _file_parameters(table: Mapping[str, Any]) -> list[str]:
+    """Return the parameters of an object that are files, by its kind."""
+    kind, parameters = table.get("kind"), table.get("parameters")
+    if kind not in artefacts or not isinstance(parameters, Mapping):
+        return []
+    return [key for key in artefacts.get(kind).files if key in parameters]
+
+
+def _taken_in(path: Path, name: Any, where: str, files: dict[str, bytes]) -> str:
     """Take a mesh file in and return its name in the data set."""
-    content = content_of(path, name, f"{where}.mesh")
+    content = content_of(path, name, where)
     stem = re.sub(r"[^A-Za-z0-9_-]", "-", Path(name).stem)[:40]
     suffix = Path(name).suffix.lower()
     flat, k = f"mesh.{stem}{suffix}", 1
@@ -86,11 +96,13 @@ def _mesh(path: Path, name: str, where: str, files: dict[str, bytes]) -> str:
     return flat
 
 
-def mesh_names(mesh: Any) -> list[str]:
-    """Return the files in the data set that an object's ``mesh`` may be."""
+def file_names(table: Mapping[str, Any]) -> list[str]:
+    """Return the files in the data set that an object may name."""
+    named = [table["parameters"][key] for key in _file_parameters(table)]
+    mesh = table.get("mesh")
     if isinstance(mesh, Mapping):
-        return list(mesh["choice"])
-    return [] if mesh is None else [mesh]
+        return [*named, *mesh["choice"]]
+    return named if mesh is None else [*named, mesh]
 
 
 def content_of(path: Path, name: Any, where: str) -> bytes:

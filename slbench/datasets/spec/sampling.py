@@ -18,6 +18,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import plain, write_toml
 from slbench.core.random import derived_seed
 from slbench.datasets.spec.distributions import Distribution, column, find, put, stream
+from slbench.datasets.spec.embedded import file_names
 from slbench.datasets.spec.specification import Specification
 from slbench.datasets.store.sample import RIG, SCENE
 from slbench.datasets.store.shards import key
@@ -158,7 +159,7 @@ def place_scene(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: 
 
 
 def _placed(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool) -> Scene:
-    wanted = {table["mesh"] for table in drawn.table["objects"] if "mesh" in table}
+    wanted = {name for table in drawn.table["objects"] for name in file_names(table)}
     from_file = "file" in drawn.table["rig"]
     for name in (*sorted(wanted), *([RIG] if from_file else [])):
         (folder / name).write_bytes(files[name])

@@ -56,10 +56,10 @@ from slbench.datasets.spec.distributions import (
     written,
 )
 from slbench.datasets.spec.distributions import Path as Place
-from slbench.datasets.spec.embedded import content_of, embedded, mesh_names
+from slbench.datasets.spec.embedded import content_of, embedded, file_names
 from slbench.datasets.store.index import columns
 from slbench.datasets.store.sample import EXACT_BITS, RIG, capture_prefix
-from slbench.objects import KINDS
+from slbench.objects.registry import artefacts
 from slbench.scene.file import extended
 
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -192,7 +192,7 @@ class Specification(Parameters):
         """Return the names of the files that the resolved specification refers to."""
         names = {RIG} if self.scene.get("rig", {}).get("file") else set()
         for table in (*self.objects, *self.scene.get("objects", ())):
-            names.update(mesh_names(table.get("mesh")))
+            names.update(file_names(table))
         return names
 
 
@@ -320,9 +320,7 @@ def _object(
     complete = embedded(inner, path, where, files)
     kind = complete.get("kind")
     if kind is not None:
-        if kind not in KINDS:
-            raise InputError(f"{path.name}: {where}.kind", f"one of {', '.join(KINDS)}", repr(kind))
-        known = KINDS[kind].parameters.model_fields
+        known = artefacts.get(kind, f"{path.name}: {where}.kind").parameters.model_fields
         parameters = complete.get("parameters", {})
         if not isinstance(parameters, dict) or is_distribution(parameters):
             expected = f"a table with {', '.join(known)}"

@@ -38,6 +38,7 @@ from slbench.objects.gears.gear import (
 from slbench.objects.gears.gearmeasure import fit_circle, measure_bore, measure_toothing, section
 from slbench.objects.gears.involute import Toothing, circle
 from slbench.objects.mesh.shell import Loop, Shell
+from slbench.objects.registry import ArtefactKind
 
 ConeAngle = Annotated[float, Field(strict=True, ge=0.0, le=75.0)]
 
@@ -280,3 +281,7 @@ def _column(
     # Scaling keeps the angle, and a flank meets each angle once.
     above = np.abs(angle - angle[np.argmax(on_circle)]) < 1e-9
     return np.column_stack([radius, z])[above]
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(CurvedGearParameters, build_curved_gear, measure_curved_gear)

@@ -28,6 +28,7 @@ from slbench.objects.gears.gearmeasure import (
 )
 from slbench.objects.gears.involute import Toothing, circle
 from slbench.objects.mesh.shell import Loop, Shell
+from slbench.objects.registry import ArtefactKind
 
 #: Largest distance of a mesh from the true surface, um.
 FormError = Annotated[float, Field(strict=True, ge=1e-3, le=1e3, allow_inf_nan=False)]
@@ -273,3 +274,7 @@ def toothing_in(artefact: Artefact) -> Toothing:
     known = ToothedParameters.model_fields
     values = {key: value for key, value in artefact.parameters.items() if key in known}
     return toothing_of(ToothedParameters.model_validate(values), artefact.name)
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(GearParameters, build_gear, measure_gear)

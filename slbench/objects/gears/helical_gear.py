@@ -38,6 +38,7 @@ from slbench.objects.gears.gear import (
 )
 from slbench.objects.gears.gearmeasure import measure_leads
 from slbench.objects.mesh.shell import Shell
+from slbench.objects.registry import ArtefactKind
 
 
 class HelicalGearParameters(ToothedParameters):
@@ -131,3 +132,7 @@ def measure_helical_gear(artefact: Artefact) -> dict[str, float]:
     """
     lower, upper = measure_leads(artefact.mesh, toothing_in(artefact).reference_radius_mm)
     return {**measure_gear(artefact), "lower_lead_mm": lower, "upper_lead_mm": upper}
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(HelicalGearParameters, build_helical_gear, measure_helical_gear)

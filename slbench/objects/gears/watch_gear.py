@@ -39,6 +39,7 @@ from slbench.objects.gears.involute import Toothing, circle
 from slbench.objects.mesh.planar import triangulated
 from slbench.objects.mesh.shell import Loop, Shell
 from slbench.objects.parts.roughness import mean_and_ra, rough_height
+from slbench.objects.registry import ArtefactKind
 
 #: Sides of the rough faces' grid in a correlation length: a Gaussian autocovariance then
 #: leaves 5 % of the standard deviation (rms) between field and mesh, at the middle of a
@@ -254,3 +255,7 @@ def _looks_up(mesh: Mesh) -> NDArray[np.bool_]:
     first, second = b - a, c - a
     area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
     return area > 1e-9 * area.max()
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(WatchGearParameters, build_watch_gear, measure_watch_gear)

@@ -18,6 +18,7 @@ from pydantic import Field
 from slbench.core.errors import InputError
 from slbench.core.validation import Parameters
 from slbench.objects.artefact import Artefact, Mesh
+from slbench.objects.registry import ArtefactKind
 
 #: Millimetres in one of each unit.
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}
@@ -117,3 +118,7 @@ def _read(path: Path, scale: float) -> Mesh:
     if not distinct.any():
         raise InputError(path, "a mesh with faces", "only faces without area")
     return Mesh(vertices * scale, faces[distinct])
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(MeshParameters, build_mesh_file, files=("path",))

@@ -23,6 +23,7 @@ from slbench.core.errors import InputError
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import REFERENCE, Artefact, Mesh, PlaneFeature
 from slbench.objects.mesh.circles import FormError, circle, circle_segments, measure_circle
+from slbench.objects.registry import ArtefactKind
 
 Clearance = Annotated[float, Field(strict=True, ge=0.0, le=1e4, allow_inf_nan=False)]
 
@@ -204,3 +205,7 @@ def _wall(lower: NDArray[np.int64], upper: NDArray[np.int64]) -> NDArray[np.int6
     next_lower, next_upper = np.roll(lower, -1), np.roll(upper, -1)
     quads = [lower, next_lower, next_upper, lower, next_upper, upper]
     return np.stack(quads, axis=1).reshape(-1, 3)
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(BrickParameters, build_brick, measure_brick)

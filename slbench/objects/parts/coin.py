@@ -32,6 +32,7 @@ from slbench.objects.mesh.planar import largest_rectangle, triangulated
 from slbench.objects.parts.bevel import bevelled
 from slbench.objects.parts.glyphs import Ring, polygon_of, text_outlines
 from slbench.objects.parts.roughness import mean_and_ra, rough_height
+from slbench.objects.registry import ArtefactKind
 
 
 class CoinParameters(Parameters):
@@ -270,3 +271,7 @@ def _features(
             level = p.relief_height_mm
             features.append(PlaneFeature(f"character_{number}", level, level, *place))
     return tuple(features)
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(CoinParameters, build_coin, measure_coin)

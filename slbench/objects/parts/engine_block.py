@@ -30,6 +30,7 @@ from slbench.objects.artefact import REFERENCE, Artefact, Mesh, PlaneFeature
 from slbench.objects.mesh.booleans import cylinder, to_mesh, to_solid
 from slbench.objects.mesh.circles import FormError, measure_circle
 from slbench.objects.mesh.solids import prism
+from slbench.objects.registry import ArtefactKind
 
 #: Bores in a bank of a V6.
 _BORES = 3
@@ -318,3 +319,7 @@ def _rims(deck: NDArray[np.int64], bores: NDArray[np.int64]) -> list[NDArray[np.
     graph = coo_array((np.ones(len(edges)), tuple(local.T)), shape=(len(vertices),) * 2)
     count, label = connected_components(graph, directed=False)
     return [vertices[label == i] for i in range(count)]
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(EngineBlockParameters, build_engine_block, measure_engine_block)

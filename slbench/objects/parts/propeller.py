@@ -29,6 +29,7 @@ from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import REFERENCE, Artefact, Mesh, PlaneFeature
 from slbench.objects.mesh.booleans import cylinder, to_mesh, to_solid
 from slbench.objects.mesh.circles import FormError, measure_circle
+from slbench.objects.registry import ArtefactKind
 
 Array = NDArray[np.float64]
 
@@ -302,3 +303,7 @@ def _reference(p: PropellerParameters) -> PlaneFeature:
     far = inner + 0.7 * ring
     side = math.sqrt((outer - 0.15 * ring) ** 2 - far**2)
     return PlaneFeature(REFERENCE, 0.0, 0.0, (inner + 0.15 * ring, far), (-side, side))
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(PropellerParameters, build_propeller, measure_propeller)

@@ -22,6 +22,7 @@ from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature, SphereFe
 from slbench.objects.mesh.booleans import cylinder, to_mesh, to_solid
 from slbench.objects.mesh.circles import FormError
 from slbench.objects.mesh.solids import prism
+from slbench.objects.registry import ArtefactKind
 from slbench.objects.shapes.sphere import SphereParameters, build_sphere
 
 #: Points within a fifth of the radius count as the sphere's; the bar must be further away.
@@ -181,3 +182,7 @@ def _centre(
     design = np.column_stack([2.0 * points, np.ones(len(points))])
     solution, *_ = np.linalg.lstsq(design, np.sum(points**2, axis=1), rcond=None)
     return near + solution[:3]
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(BallBarParameters, build_ball_bar, measure_ball_bar)

@@ -20,6 +20,7 @@ from pydantic import Field
 from slbench.core.errors import InputError
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature, SphereFeature
+from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.tiles import ring_tile, tiled_plate
 
 _FEWEST_RINGS = 4
@@ -194,3 +195,7 @@ def _mean_radius(corners: NDArray[np.float64]) -> float:
     # The rule of edge midpoints integrates the quadratic sag of a facet exactly.
     middles = 0.5 * (corners + np.roll(corners, -1, axis=1))
     return float(np.average(np.linalg.norm(middles, axis=2).mean(axis=1), weights=areas))
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(MicroLensParameters, build_micro_lens, measure_micro_lens)

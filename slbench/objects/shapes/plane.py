@@ -11,6 +11,7 @@ from pydantic import Field
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
 from slbench.objects.mesh.solids import prism
+from slbench.objects.registry import ArtefactKind
 
 
 class PlaneParameters(Parameters):
@@ -61,3 +62,7 @@ def build_plane(parameters: PlaneParameters, name: str, where: str) -> Artefact:
         certified={"size_x_mm": x, "size_y_mm": y, "reference_flatness_um": 0.0},
         features=(face,),
     )
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(PlaneParameters, build_plane)

@@ -14,6 +14,7 @@ from pydantic import Field
 from slbench.core.errors import InputError
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
+from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import WIDEST, Micrometres, cells, spacings
 from slbench.objects.targets.tiles import PLAIN, Tile, ring_tile, tiled_plate
 
@@ -151,3 +152,7 @@ def measure_pyramid_array(artefact: Artefact) -> dict[str, float]:
         "pitch_x_um": 1e3 * pitch_x,
         "pitch_y_um": 1e3 * pitch_y,
     }
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(PyramidArrayParameters, build_pyramid_array, measure_pyramid_array)

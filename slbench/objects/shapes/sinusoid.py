@@ -18,6 +18,7 @@ from slbench.core.errors import InputError
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import Artefact
 from slbench.objects.mesh.heightfield import height_field
+from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import Micrometres
 
 
@@ -131,3 +132,7 @@ def measure_sinusoid(artefact: Artefact) -> dict[str, float]:
     wave = heights * np.exp(-2j * np.pi * places / period)
     fundamental = np.einsum("ij,j,i->", wave, weights, np.diff(x)) / length
     return {"period_um": 1e3 * float(period), "amplitude_um": 1e3 * float(abs(fundamental))}
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(SinusoidParameters, build_sinusoid, measure_sinusoid)

@@ -25,6 +25,7 @@ from pydantic import Field
 from slbench.core.errors import InputError
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import Artefact, Mesh, SphereFeature
+from slbench.objects.registry import ArtefactKind
 
 #: 1.3 million facets.  The form error of the next would be below single precision's grain.
 _FINEST = 8
@@ -101,3 +102,7 @@ def _unit_icosphere(
     nearest = np.einsum("ij,ij->i", normals, a) / np.linalg.norm(normals, axis=1)
     outwards = np.linalg.norm(vertices, axis=1).max() - 1.0
     return vertices, faces, float(max(outwards, 1.0 - nearest.min()))
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(SphereParameters, build_sphere)

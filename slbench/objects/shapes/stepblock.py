@@ -18,6 +18,7 @@ from slbench.core.errors import InputError
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
 from slbench.objects.mesh.solids import prism
+from slbench.objects.registry import ArtefactKind
 
 
 class StepBlockParameters(Parameters):
@@ -115,3 +116,7 @@ def build_step_block(parameters: StepBlockParameters, name: str, where: str) -> 
         certified={f"{face.name}_height_mm": face.height_mm for face in features[1:]},
         features=features,
     )
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(StepBlockParameters, build_step_block)

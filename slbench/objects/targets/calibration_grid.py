@@ -22,6 +22,7 @@ import numpy as np
 from slbench.core.errors import InputError
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import Artefact
+from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import (
     WIDEST,
     Count,
@@ -141,3 +142,7 @@ def measure_calibration_grid(artefact: Artefact) -> dict[str, float]:
         "pitch_y_um": 1e3 * pitch_y,
         "dot_diameter_um": 2e3 * math.sqrt(float(areas.mean()) / math.pi),
     }
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(CalibrationGridParameters, build_calibration_grid, measure_calibration_grid)

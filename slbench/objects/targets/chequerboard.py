@@ -13,6 +13,7 @@ import numpy as np
 
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import Artefact
+from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import Count, cells, spacings, top_face
 from slbench.objects.targets.tiles import PLAIN, tiled_plate
 
@@ -105,3 +106,7 @@ def measure_chequerboard(artefact: Artefact) -> dict[str, float]:
     corners = artefact.mesh.vertices[faces].reshape(-1, 3)
     square_x, square_y = spacings(corners)
     return {"square_x_mm": square_x, "square_y_mm": square_y}
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(ChequerboardParameters, build_chequerboard, measure_chequerboard)

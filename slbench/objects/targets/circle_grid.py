@@ -21,6 +21,7 @@ from pydantic import Field
 from slbench.core.errors import InputError
 from slbench.core.validation import Length, Parameters
 from slbench.objects.artefact import Artefact
+from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import (
     WIDEST,
     Count,
@@ -142,3 +143,7 @@ def measure_circle_grid(artefact: Artefact) -> dict[str, float]:
         "spacing_y_mm": spacing_y,
         "dot_diameter_mm": 2.0 * math.sqrt(float(areas.mean()) / math.pi),
     }
+
+
+#: The row of :mod:`slbench.objects.registry`.
+KIND = ArtefactKind(CircleGridParameters, build_circle_grid, measure_circle_grid)
