@@ -72,12 +72,12 @@ class Mesh:
     @cached_property
     def bounds(self) -> NDArray[np.float64]:
         """Lowest and highest corner of the bounding box, (2, 3) float, mm."""
-        return np.stack([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+        return np.asarray(self.as_trimesh.bounds)
 
     @cached_property
     def is_watertight(self) -> bool:
         """Whether every edge is shared by exactly two faces."""
-        return bool(self._as_trimesh.is_watertight)
+        return bool(self.as_trimesh.is_watertight)
 
     @cached_property
     def volume(self) -> float:
@@ -89,8 +89,7 @@ class Mesh:
     @cached_property
     def face_areas(self) -> NDArray[np.float64]:
         """Area of every face, (m,) float, mm^2."""
-        a, b, c = np.moveaxis(self.vertices[self.faces], 1, 0)
-        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        return np.asarray(self.as_trimesh.area_faces)
 
     def transformed(self, rotation: ArrayLike, translation: ArrayLike) -> "Mesh":
         """Move the mesh rigidly: ``x -> R x + t``.
@@ -121,7 +120,8 @@ class Mesh:
         return Mesh(self.vertices @ r.T + t, self.faces)
 
     @cached_property
-    def _as_trimesh(self) -> trimesh.Trimesh:
+    def as_trimesh(self) -> trimesh.Trimesh:
+        """The same vertices and faces as trimesh's mesh."""
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 

@@ -19,14 +19,12 @@ def build(
     changes: Changes = None,
 ) -> None:
     """Build an artefact and write its mesh, in millimetres."""
-    import trimesh
-
     from slbench.core.io import atomic_path
 
     artefact = artefact_of(name, changes)
     if out.suffix.lower() not in (".ply", ".stl", ".obj"):
         raise InputError("--out", "a name that ends in .ply, .stl or .obj", out)
-    mesh = trimesh.Trimesh(artefact.mesh.vertices, artefact.mesh.faces, process=False)
+    mesh = artefact.mesh.as_trimesh
     with atomic_path(out) as temporary:
         mesh.export(temporary)
     print(f"{artefact.name}: {len(mesh.faces)} faces, {mesh.volume:.6g} mm^3, written to {out}")

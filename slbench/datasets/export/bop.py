@@ -35,7 +35,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import cdist
@@ -73,8 +72,7 @@ class _Models:
         digest = hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()
         if digest not in self.ids:
             number = self.ids[digest] = len(self.ids) + 1
-            solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-            normals = dict(zip(("nx", "ny", "nz"), solid.vertex_normals.T, strict=True))
+            normals = dict(zip(("nx", "ny", "nz"), mesh.as_trimesh.vertex_normals.T, strict=True))
             path = self.folder / f"obj_{number:06d}.ply"
             write_ply(path, mesh.vertices - origin, normals, mesh.faces)
             low, high = mesh.bounds - origin

@@ -6,6 +6,7 @@ one measures a gear: the gap between a calliper's jaws, the chord of a circle wi
 """
 
 import numpy as np
+import trimesh.nsphere
 from numpy.typing import NDArray
 
 from slbench.objects.artefact import Mesh
@@ -96,11 +97,7 @@ def fit_circle(points: NDArray[np.float64]) -> float:
     """
     if len(points) < 3:
         return float("nan")
-    middle = points.mean(axis=0)
-    shifted = points - middle
-    matrix = np.column_stack([2.0 * shifted, np.ones(len(shifted))])
-    solution = np.linalg.lstsq(matrix, np.einsum("ij,ij->i", shifted, shifted), rcond=None)[0]
-    return float(np.sqrt(solution[2] + solution[0] ** 2 + solution[1] ** 2))
+    return float(trimesh.nsphere.fit_nsphere(points)[1])
 
 
 def measure_face_width(mesh: Mesh, reference_radius_mm: float) -> float:

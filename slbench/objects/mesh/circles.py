@@ -9,6 +9,7 @@ import math
 from typing import Annotated
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
@@ -89,12 +90,6 @@ def measure_circle(corners_mm: ArrayLike) -> tuple[NDArray[np.float64], float]:
     diameter : float
         ``2 sqrt(area / pi)``, mm.
     """
-    corners = np.asarray(corners_mm, dtype=np.float64)
-    middle = corners.mean(axis=0)
-    spokes = corners - middle
-    a = spokes[np.argsort(np.arctan2(spokes[:, 1], spokes[:, 0]))]
-    b = np.roll(a, -1, axis=0)
-    sector = 0.5 * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
-    area = float(sector.sum())
-    centroid = np.einsum("i,ij->j", sector, a + b) / (3.0 * area)
-    return middle + centroid, 2.0 * math.sqrt(area / math.pi)
+    polygon = shapely.MultiPoint(np.asarray(corners_mm, dtype=np.float64)).convex_hull
+    centre = np.array([polygon.centroid.x, polygon.centroid.y])
+    return centre, 2.0 * math.sqrt(polygon.area / math.pi)

@@ -13,6 +13,7 @@ from typing import Annotated
 
 import manifold3d
 import numpy as np
+import trimesh.nsphere
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -174,14 +175,12 @@ def _check(p: BallBarParameters, margin: float, where: str) -> None:
 def _centre(
     vertices: NDArray[np.float64], near: NDArray[np.float64], radius: float
 ) -> NDArray[np.float64]:
-    """Centre of the sphere through the vertices about a place, by linear least squares."""
+    """Centre of the sphere through the vertices about a place, by least squares."""
     local = vertices - near
     distance = np.linalg.norm(local, axis=1)
     # The lower half bears the stem's rim, whose vertices lie on facets and not on the sphere.
     points = local[(np.abs(distance / radius - 1.0) < 0.2) & (local[:, 2] > 0.0)]
-    design = np.column_stack([2.0 * points, np.ones(len(points))])
-    solution, *_ = np.linalg.lstsq(design, np.sum(points**2, axis=1), rcond=None)
-    return near + solution[:3]
+    return near + trimesh.nsphere.fit_nsphere(points)[0]
 
 
 #: The row of :mod:`slbench.objects.registry`.

@@ -136,8 +136,7 @@ def measure_pyramid_array(artefact: Artefact) -> dict[str, float]:
         ``pitch_x_um, pitch_y_um``, NaN where there is one pyramid along an axis.
     """
     corners = artefact.mesh.vertices[artefact.mesh.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    normals = artefact.mesh.as_trimesh.face_normals
     flanks = (normals[:, 2] > 1e-6) & (normals[:, 2] < 1.0 - 1e-12)
     vertices = corners[flanks].reshape(-1, 3)
     apexes = np.unique(vertices[vertices[:, 2] > 0.0], axis=0)
