@@ -20,6 +20,10 @@ SceneName = Annotated[str, typer.Argument(help="A scene file, or the name of a s
 Preview = Annotated[
     bool, typer.Option("--preview", help="Fewer camera pixels and samples: seconds.")
 ]
+MinModulation = Annotated[
+    float | None,
+    typer.Option(min=0.0, help="Least modulation of a valid pixel, DN; 3, or the capture's."),
+]
 AllowModules = Annotated[
     bool,
     typer.Option(
@@ -70,8 +74,26 @@ def print_json(values: Any) -> None:
     print(json.dumps(plain(values), ensure_ascii=False, allow_nan=False))
 
 
-def print_table(table: Any) -> None:
-    """Print a rich table or group."""
-    from rich.console import Console
+def print_table(table: Any, *, left: int = 1) -> None:
+    """Print a table of :mod:`slbench.core.document`, or a rich one.
 
+    Parameters
+    ----------
+    table : slbench.core.document.Table or rich.table.Table
+    left : int
+        How many columns of the first kind are texts and stand to the left.
+    """
+    from rich import table as terminal
+    from rich.console import Console
+    from rich.text import Text
+
+    from slbench.core.document import Table
+
+    if isinstance(table, Table):
+        laid_out = terminal.Table(title=table.title)
+        for k, column in enumerate(table.columns):
+            laid_out.add_column(column, justify="left" if k < left else "right")
+        for row in table.texts():
+            laid_out.add_row(*map(Text, row))  # names come from files: they are no markup
+        table = laid_out
     Console(highlight=False).print(table)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from slbench.calibration.baselines import Comparison
 from slbench.calibration.models.points import CalibrationPoints
-from slbench.calibration.scales import GROSS
 from slbench.calibration.selection import Selection
+from slbench.calibration.summary import gross_note
 from slbench.core.io import atomic_folder, atomic_path, write_json, write_provenance, write_table
 from slbench.twin.experiment import Experiment
 
@@ -143,12 +143,6 @@ def tables(experiment: Experiment, selection: Selection, comparison: Comparison 
     return "\n".join(lines) + "\n"
 
 
-def gross_note(selection: Selection) -> str:
-    """Say how many points were left out of the choice, and why."""
-    share = f"{len(selection.gross)} of {len(selection.train)} training points"
-    return f"{share}, off by more than {GROSS:g} deviations, left out of choice and domain"
-
-
 def validation_rows(selection: Selection) -> list[tuple[str, str, float, float, float, float]]:
     """Return table 13: coordinate, form, RMS, the thesis's, MAD, the thesis's; um.
 
@@ -163,30 +157,6 @@ def validation_rows(selection: Selection) -> list[tuple[str, str, float, float, 
     rms, mad = THESIS_13_TOTAL
     ours = (_UM * total["validation_rms"], _UM * total["validation_mad"])
     return [*rows, ("root sum square", "", ours[0], rms, ours[1], mad)]
-
-
-def score_rows(
-    selection: Selection,
-) -> list[tuple[str, str, bool, float, float, float, float, float]]:
-    """Return every model's errors (thesis figs. 30-32), um.
-
-    Coordinate, form, whether it is selected, training RMS, validation RMS and MAD, root of the
-    residual mean square, leave-one-out error without gross points.
-    """
-    return [
-        (
-            name,
-            form,
-            selection.selected[name] == form,
-            _UM * score.train_rms,
-            _UM * score.validation_rms,
-            _UM * score.validation_mad,
-            _UM * score.residual_ms**0.5,
-            _UM * score.cv_robust,
-        )
-        for name, forms in selection.scores.items()
-        for form, score in forms.items()
-    ]
 
 
 def method_rows(comparison: Comparison) -> list[tuple[str, float, float, float, float, float]]:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, check_file, print_json
+from slbench.cli.common import Json, MinModulation, check_file, print_json
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -23,10 +23,7 @@ def apply(
     inside_only: Annotated[
         bool, typer.Option("--inside-only", help="Leave out what the model would extrapolate to.")
     ] = False,
-    min_modulation: Annotated[
-        float | None,
-        typer.Option(min=0.0, help="Least modulation of a valid pixel, DN; 3, or the capture's."),
-    ] = None,
+    min_modulation: MinModulation = None,
     as_json: Json = False,
 ) -> None:
     """Decode frames; turn every pixel into a point by a model."""

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
 from slbench.cli.common import Json, Seed, check_file, print_json, print_table
 from slbench.cli.lazy import command
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 
 @command("slbench calibrate fit points.csv --out model.json --json")
@@ -43,12 +40,13 @@ def fit(
     """
     from slbench.calibration.models.points import CalibrationPoints
     from slbench.calibration.selection import select_models
-    from slbench.report.page import check_page_path, write_page
-    from slbench.report.pages.calibration import calibration_page
-    from slbench.twin.report import gross_note
+    from slbench.calibration.summary import gross_note, not_converged, score_table
 
     check_file(out, ".json")
     if report is not None:
+        from slbench.report.page import check_page_path, write_page
+        from slbench.report.pages.calibration import calibration_page
+
         check_page_path(report)
     data = CalibrationPoints.read(points)
     selection = select_models(
@@ -76,28 +74,11 @@ def fit(
     if as_json:
         print_json(selection.to_dict() | {"axes": axes, **written})
         return
-    print_table(_scores(selection))
+    print_table(score_table(selection))
     rms, mad = (1e3 * value for value in selection.isometric.values())
     print(f"3-D validation error: RMS {rms:.4g} µm, MAD {mad:.4g} µm")
     if len(selection.gross):
         print(gross_note(selection))
-    for name, forms in selection.scores.items():
-        for form, score in forms.items():
-            if not score.converged:
-                print(f"{name}, {form}: not converged in {score.iterations} iterations")
+    for sentence in not_converged(selection):
+        print(sentence)
     print(f"Written to {' and '.join(written.values())}")
-
-
-def _scores(selection: Any) -> Table:
-    """Lay the scores of all models out as in thesis fig. 30-32 and table 13, in µm."""
-    from rich.table import Table
-
-    from slbench.twin.report import score_rows
-
-    table = Table(title="errors / µm; * selected by the least CV")
-    for name in ("model", "train RMS", "validation RMS", "validation MAD", "√residual MS", "CV"):
-        table.add_column(name, justify="left" if name == "model" else "right")
-    for name, form, selected, *errors in score_rows(selection):
-        mark = " *" if selected else ""
-        table.add_row(f"{name} {form}{mark}", *(f"{value:.4g}" for value in errors))
-    return table

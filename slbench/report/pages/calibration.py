@@ -10,6 +10,7 @@ import numpy as np
 from slbench.calibration.baselines import Comparison
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection
+from slbench.calibration.summary import score_rows
 from slbench.core.document import Cell, Cloud, Page, Part, Picture, Table
 from slbench.core.io import provenance
 from slbench.twin.experiment import Experiment
@@ -17,7 +18,6 @@ from slbench.twin.report import (
     method_rows,
     models_figure,
     residuals_figure,
-    score_rows,
     validation_rows,
 )
 

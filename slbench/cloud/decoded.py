@@ -1,0 +1,89 @@
+"""What decoding a capture gives: panel coordinates, and points where its rig is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from slbench.capture.capture import Capture
+from slbench.cloud.triangulation import PointCloud, triangulate
+from slbench.core.io import atomic_folder, write_exr, write_json, write_ply, write_provenance
+from slbench.patterns import PhaseMap
+
+
+@dataclass(frozen=True, eq=False)
+class Decoded:
+    """A capture decoded, and triangulated where its rig is known.
+
+    Parameters
+    ----------
+    capture : Capture
+    phase : PhaseMap
+    cloud : PointCloud or None
+        None without a rig.
+    """
+
+    capture: Capture
+    phase: PhaseMap
+    cloud: PointCloud | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers of the whole, for JSON."""
+        cloud = self.cloud
+        return {
+            "patterns": self.capture.sequence.name,
+            "frames": len(self.capture.frames),
+            "valid_pixels": int(np.count_nonzero(self.phase.mask)),
+            "points": None if cloud is None else len(cloud),
+            "predicted_sigma_mm": float(np.median(cloud.sigma_total_mm)) if cloud else None,
+        }
+
+    def save(self, folder: str | Path, parameters: Mapping[str, Any]) -> None:
+        """Write the maps, the cloud and the numbers; nothing appears until all are complete.
+
+        Parameters
+        ----------
+        folder : path
+            For ``phase.exr`` (``modulation``, ``mean``, ``mask`` and, by axis, ``panel.u`` and
+            ``sigma.u``, px), ``cloud.ply`` (points and ``sigma``, mm, if there are any),
+            ``decode.json`` and ``provenance.json``.
+        parameters : mapping
+            For the provenance.
+        """
+        phase, cloud = self.phase, self.cloud
+        channels = {
+            "modulation": phase.modulation,
+            "mean": phase.mean,
+            "mask": phase.mask,
+            **{f"panel.{axis}": values for axis, values in phase.coordinate.items()},
+            **{f"sigma.{axis}": values for axis, values in phase.sigma.items()},
+        }
+        single = {name: values.astype(np.float32) for name, values in channels.items()}
+        with atomic_folder(folder) as temporary:
+            write_exr(temporary / "phase.exr", single)
+            if cloud:
+                write_ply(temporary / "cloud.ply", cloud.points, {"sigma": cloud.sigma_total_mm})
+            write_json(temporary / "decode.json", self.to_dict())
+            write_provenance(temporary, parameters, None)
+
+
+def decode_capture(capture: Capture, *, min_modulation: float | None = None) -> Decoded:
+    """Decode a capture, and triangulate it where its rig is known.
+
+    Parameters
+    ----------
+    capture : Capture
+    min_modulation : float, optional
+        Least modulation of a valid pixel, DN; as :meth:`Capture.decode` takes it.
+
+    Returns
+    -------
+    Decoded
+    """
+    phase = capture.decode(min_modulation=min_modulation)
+    cloud = None if capture.rig is None else triangulate(capture.rig, phase)
+    return Decoded(capture, phase, cloud)
