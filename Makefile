@@ -5,6 +5,7 @@
 #   make test-all  the slow tests too
 #   make bench     timings only (tests/benchmarks)
 #   make lint      ruff, mypy, and who may import whom
+#   make dist      wheel and source archive into dist/, each tested in a clean environment
 #   make docs      the documentation as a website, into out/docs
 #   make clean     remove everything that make has made, the environment included
 #
@@ -22,7 +23,7 @@ DOCS_STAMP := $(VENV)/.installed-docs
 INSTALLED_FROM := pyproject.toml constraints.txt
 
 .DELETE_ON_ERROR:
-.PHONY: demo test test-all bench lint docs clean
+.PHONY: demo test test-all bench lint dist docs clean
 
 demo: $(RUN_STAMP)
 	$(BIN)/slbench scan step-block --out out/demo
@@ -42,6 +43,9 @@ lint: $(TEST_STAMP)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
+
+dist: $(TEST_STAMP)
+	.ci/dist $(PYTHON)
 
 # Warnings are errors: a broken link, reference or formula fails the build.
 docs: $(DOCS_STAMP)
