@@ -1,7 +1,7 @@
 """The tables and keys of a scene file, and what their values may be.
 
 The unit of a number is in its key; an unknown key, a missing one or a value of the wrong kind
-is refused with the key's full name.  ``docs/scene-files.md`` lists the keys.
+is refused with the key's full name.  ``docs/reference/scene-files.md`` lists the keys.
 """
 
 from __future__ import annotations

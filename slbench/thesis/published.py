@@ -42,7 +42,7 @@ def _corrected(median: float, low: float, high: float) -> float:
 
     That happens twice, with {1,10,50} on the propeller and {1,2,4} on the gear.  The other
     medians are the middles of their intervals to 0.1 um, but for the propeller's with {1,2,4},
-    whose lower limit is the gear's (docs/errata.md).
+    whose lower limit is the gear's (docs/study/errata.md).
     """
     return median if low <= median <= high else round(0.5 * (low + high), 3)
 

@@ -1,4 +1,4 @@
-"""docs/datasets-use.md: its snippets run, its example learns; data sets as `make` writes them."""
+"""docs/how-to/datasets-use.md: its snippets run, its example learns; data sets as `make` writes them."""
 
 import importlib.util
 import re
@@ -15,7 +15,7 @@ from slbench import datasets
 from slbench.simulate.scan import scan
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGE = DOCS / "datasets-use.md"
+PAGE = DOCS / "how-to" / "datasets-use.md"
 
 
 def test_the_snippets_run_one_after_the_other(tmp_path, monkeypatch):

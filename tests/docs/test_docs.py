@@ -158,7 +158,7 @@ def test_the_parser_of_commands_sees_mistakes():
     for line in ("slbench scam x", "slbench scan x --previw", "slbench design rigg x"):
         with pytest.raises(ValueError, match="no "):
             parse(line)
-    assert len(list(commands(DOCS / "rig-design.md"))) > 5
+    assert len(list(commands(DOCS / "explanation" / "rig-design.md"))) > 5
 
 
 # -- snippets ----------------------------------------------------------------------------------
@@ -244,7 +244,7 @@ def test_the_site_builds_without_a_warning_and_needs_no_network(site):
         # No script, style, picture or font from elsewhere.
         assert not re.search(r"""(?:src|srcset)=["']?(?:https?:)?//""", html)
         assert not re.search(r"""<link[^>]+href=["'](?:https?:)?//""", html)
-    assert "<math" in (site / "decoding.html").read_text(encoding="utf-8")
+    assert "<math" in (site / "explanation" / "decoding.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -255,7 +255,7 @@ def test_no_page_scrolls_sideways(site, width):
         asked, errors = [], []
         page.on("request", lambda request: asked.append(request.url))
         page.on("pageerror", lambda error: errors.append(str(error)))
-        for file in sorted(site.glob("*.html")):
+        for file in sorted(site.rglob("*.html")):
             page.goto(file.as_uri())
             assert page.evaluate("document.documentElement.scrollWidth") <= width, file.name
     assert not errors
@@ -263,7 +263,7 @@ def test_no_page_scrolls_sideways(site, width):
 
 
 # -- errata ------------------------------------------------------------------------------------
-# What docs/errata.md says of the thesis's equations, computed.
+# What docs/study/errata.md says of the thesis's equations, computed.
 
 
 def test_erratum_eq_8_all_rays_of_a_pixel_are_one():

@@ -1,4 +1,4 @@
-"""Every command of docs/tour.md runs, prints what the tour shows, and writes what it names.
+"""Every command of docs/tutorial/tour.md runs, prints what the tour shows, and writes what it names.
 
 A section of the tour stands alone, so that sections run in any order: its console blocks in one
 temporary folder, one after the other.  Shown lines are compared in their order; ``...`` stands
@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from scenes_small import run_cli
 
-TOUR = Path(__file__).parents[2] / "docs" / "tour.md"
+TOUR = Path(__file__).parents[2] / "docs" / "tutorial" / "tour.md"
 TEXT = TOUR.read_text(encoding="utf-8")
 SECTIONS = {part.splitlines()[0]: part for part in re.split(r"^## ", TEXT, flags=re.MULTILINE)[1:]}
 COMMANDED = [name for name, text in SECTIONS.items() if "```console" in text]
@@ -45,7 +45,7 @@ def test_section(name, tmp_path, monkeypatch):
         Path(file).write_text(content, encoding="utf-8")
     for block in re.findall(r"^```console\n(.*?)^```", text, re.M | re.S):
         run_block(block)
-    named = {path for path in FILE.findall(text) if not (TOUR.parents[1] / path).exists()}
+    named = {path for path in FILE.findall(text) if not (TOUR.parents[2] / path).exists()}
     missing = [path for path in named if not Path(path).exists()]
     assert not missing, f"named in the text, and not written: {missing}"
 

@@ -338,7 +338,7 @@ def predict(
 
     The closed form of :mod:`slbench.design.fringes.chain`.  Sequences whose counts divide one
     another agree with simulated ones within sampling error (0.3 %), wrong orders dominating or not.
-     A ratio that is not whole costs up to 1 % ({1, 16, 25}, {1, 4, 5}, {1, 2, 3} with 2 to 13 % of
+    A ratio that is not whole costs up to 1 % ({1, 16, 25}, {1, 4, 5}, {1, 2, 3} with 2 to 13 % of
     wrong orders), two of them in one sequence 3 % ({1, 4, 10, 25}) to 10 % ({1, 2, 5, 8}).
 
     Parameters

@@ -40,7 +40,7 @@ class TestMeans:
         assert rates["fails"] == pytest.approx(tail, abs=slack(tail))
 
     def test_magnitudes(self):
-        """Errors without bias have the most skewed magnitudes: docs/claims.md states 6 %."""
+        """Errors without bias have the most skewed magnitudes: docs/how-to/claims.md states 6 %."""
         true = np.sqrt(2.0 / np.pi)
         rates = statuses(lambda rng, n: np.abs(rng.normal(size=n)), true, 15, mean_at(0.95))
         assert rates["holds"] <= 0.06 + slack(0.06)
