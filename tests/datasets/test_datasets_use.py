@@ -1,4 +1,4 @@
-"""docs/how-to/datasets-use.md: its snippets run, its example learns; data sets as `make` writes them."""
+"""The page datasets-use.md: snippets run, its example learns; data sets as `make` writes them."""
 
 import importlib.util
 import re

@@ -1,4 +1,4 @@
-"""Every command of docs/tutorial/tour.md runs, prints what the tour shows, and writes what it names.
+"""Every command of the tour runs, prints what the tour shows, and writes what it names.
 
 A section of the tour stands alone, so that sections run in any order: its console blocks in one
 temporary folder, one after the other.  Shown lines are compared in their order; ``...`` stands

@@ -4,7 +4,8 @@ A quantity of a scan is a number of its score: ``rms_mm``, ``smooth_rms_px.u``,
 ``step[2.5].error_mm``.  Features are chosen by nominal size (``step[2.5]``), by name
 (``plane[reference]``) or by object and either (``sphere[ball-bar/left]``); a second object of
 one name is ``name#2``; ``[*]`` is the largest value over all features of a kind.  A quantity of a
-comparison names its pattern set: ``set[1,10,50].std_median_mm``.  ``docs/how-to/claims.md`` lists all.
+comparison names its pattern set: ``set[1,10,50].std_median_mm``.  ``docs/how-to/claims.md``
+lists all.
 
 *Errors have a sign only where they are called deviations.*  ``deviation_mm`` is measured minus
 nominal; ``error_mm`` is its magnitude, scan by scan, so that an upper bound on it means what it

@@ -2,8 +2,8 @@
 
 A worker of this machine's own makes one sample at a time, with its share of the cores.  Tracing
 uses many, but a good part of a sample (building the scene, truth, decoding, files) uses one, so
-a worker a core serves a machine better than one worker with all of them (docs/how-to/datasets.md has
-the measurement).
+a worker a core serves a machine better than one worker with all of them (docs/how-to/datasets.md
+has the measurement).
 """
 
 from __future__ import annotations

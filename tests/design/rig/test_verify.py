@@ -25,8 +25,8 @@ def test_the_optimal_rig_beats_the_feasible_one_as_in_the_thesis():
     """Thesis 6.2.3: mean RMS errors 0.1924 and 0.2701 mm, a ratio of 0.71."""
     optimal = rendered_errors(HARDWARE, TABLE_4[4], samples=9, heights_mm=[0.0])
     feasible = rendered_errors(HARDWARE, FEASIBLE, samples=9, heights_mm=[0.0])
-    # Geometry alone gives 0.62 to 0.76 (docs/explanation/rig-design.md); noise and sampling move the
-    # ratio of two RMS values over 10,000 points by less than 2 %.
+    # Geometry alone gives 0.62 to 0.76 (docs/explanation/rig-design.md); noise and sampling move
+    # the ratio of two RMS values over 10,000 points by less than 2 %.
     assert 0.60 < optimal[0] / feasible[0] < 0.78
 
 
