@@ -1,23 +1,19 @@
-"""Parameters checked once: pydantic models whose errors are one line naming the key."""
+"""Tables of files checked once, by pydantic models; errors are one line naming the key."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from slbench.core.errors import InputError
+from slbench.core.types import Finite, Length
+from slbench.core.wording import first_error, shown
 
-#: A length, mm.  From a micrometre to ten metres: beyond, it is a slip of the unit.
-Length = Annotated[float, Field(strict=True, ge=1e-3, le=1e4, allow_inf_nan=False)]
-
-#: Any finite number.
-Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-
-_SHOWN = 60
+__all__ = ["Finite", "Length", "Parameters", "shown", "validated"]
 
 
 class Parameters(BaseModel):
-    """Base of the parameter models: unknown keys are errors, values do not change.
+    """Base of the models of tables: unknown keys are errors, values do not change.
 
     Strict: a number written as text, or true for 1, is a slip and refused.
     """
@@ -50,27 +46,16 @@ def validated(model: type[Model], values: object, where: str, separator: str = "
     Raises
     ------
     InputError
-        If a key is unknown or missing, or a value is not acceptable; the first one only.
+        If a key is unknown or missing, or a value is not acceptable; the first one only, a wrong
+        key before all others.
     """
-    known = ", ".join(model.model_fields)
     if not isinstance(values, Mapping):
-        raise InputError(where, f"a table with {known}", shown(values))
-    for key in values:
-        # Ahead of pydantic: a misspelt key is also a missing one, and the typo is the news.
-        if key not in model.model_fields:
-            raise InputError(where, f"one of the keys {known}", repr(key))
+        raise InputError(where, f"a table with {', '.join(model.model_fields)}", shown(values))
+    values = _tuples(values)
     try:
-        return model.model_validate(_tuples(dict(values)))
+        return model.model_validate(values)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        location = where
-        for part in first["loc"]:
-            location += f"[{part}]" if isinstance(part, int) else f"{separator}{part}"
-            separator = "."
-        if first["type"] == "missing":
-            raise InputError(location, "a value", "none") from error
-        expected = first["msg"].removeprefix("Input should be ")
-        raise InputError(location, expected, shown(first["input"])) from error
+        raise first_error(error, model, values, where, separator) from None
 
 
 def _tuples(value: Any) -> Any:
@@ -80,9 +65,3 @@ def _tuples(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return tuple(_tuples(item) for item in value)
     return value
-
-
-def shown(value: Any) -> str:
-    """Return the ``repr`` of a value, cut to a length that fits in one line."""
-    text = repr(value)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."

@@ -27,6 +27,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.types import Angle, Distortion, Pair, PanelBits, Pixels, Positive, Size
+from slbench.core.values import Value
 from slbench.rig.distortion import (
     apply_homography,
     distort,
@@ -41,7 +43,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Device:
+class Device(Value):
     """A panel of pixels behind a lens; see :class:`Camera` and :class:`Projector`.
 
     Parameters
@@ -63,37 +65,21 @@ class Device:
         through the middle of its front face; None is a device without a body.
     """
 
-    width: int
-    height: int
-    pitch_mm: tuple[float, float]
+    width: Pixels
+    height: Pixels
+    pitch_mm: tuple[Positive, Positive]
     lens: Lens
-    principal_point: tuple[float, float] | None = None
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    tilt_rad: tuple[float, float] = (0.0, 0.0)
+    principal_point: Pair | None = None
+    distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
+    tilt_rad: tuple[Angle, Angle] = (0.0, 0.0)
     pose: Pose = field(default_factory=Pose)
-    body_mm: tuple[float, float, float] | None = None
+    body_mm: Size | None = None
 
     def __post_init__(self) -> None:
-        who = type(self).__name__.lower()
-        if min(self.width, self.height) < 1:
-            raise InputError(
-                f"{who} resolution", "at least 1 x 1 px", f"{self.width} x {self.height}"
-            )
-        if not (min(self.pitch_mm) > 0 and np.all(np.isfinite(self.pitch_mm))):
-            raise InputError(f"{who} pixel pitch", "a positive length", f"{self.pitch_mm} mm")
+        super().__post_init__()
         if self.principal_point is None:
             centre = ((self.width - 1) / 2.0, (self.height - 1) / 2.0)
             object.__setattr__(self, "principal_point", centre)
-        if len(self.centre) != 2 or not np.all(np.isfinite(self.centre)):
-            raise InputError(f"{who} principal point", "two finite numbers (px)", self.centre)
-        if len(self.distortion) != 5 or not np.all(np.isfinite(self.distortion)):
-            raise InputError(
-                f"{who} distortion", "five finite numbers k1, k2, p1, p2, k3", self.distortion
-            )
-        if not np.all(np.abs(self.tilt_rad) < np.pi / 3):
-            raise InputError(f"{who} sensor tilt", "less than 60 deg", f"{self.tilt_rad} rad")
-        if self.body_mm is not None and not all(0 < size < np.inf for size in self.body_mm):
-            raise InputError(f"{who} body", "three positive lengths (mm)", self.body_mm)
 
     # -- the panel ---------------------------------------------------------------------
 
@@ -367,18 +353,9 @@ class Projector(Device):
         Radiance is ``value ** gamma``; 1 is linear, as a DMD is.
     """
 
-    flux_w: float = 1.0
-    bit_depth: int | None = 8
-    gamma: float = 1.0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 < self.flux_w < np.inf:
-            raise InputError("projector flux_w", "a positive power (W)", self.flux_w)
-        if self.bit_depth is not None and not 1 <= self.bit_depth <= 16:
-            raise InputError("projector bit_depth", "1 to 16", self.bit_depth)
-        if not 0 < self.gamma < np.inf:
-            raise InputError("projector gamma", "a positive number", self.gamma)
+    flux_w: Positive = 1.0
+    bit_depth: PanelBits | None = 8
+    gamma: Positive = 1.0
 
     @property
     def axial_intensity(self) -> float:

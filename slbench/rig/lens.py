@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 
 from slbench.core.errors import InputError
+from slbench.core.types import Aperture, Gt, NotNegative, Positive
+from slbench.core.values import Value, checked
 
 
 @dataclass(frozen=True)
-class Lens:
+class Lens(Value):
     """A lens: perspective (pinhole or thin lens) or object-space telecentric.
 
     Parameters
@@ -30,31 +32,23 @@ class Lens:
         illumination.  A telecentric lens has none.
     """
 
-    focal_length_mm: float
-    aperture_radius_mm: float = 0.0
-    focus_distance_mm: float = np.inf
+    focal_length_mm: Positive
+    aperture_radius_mm: NotNegative = 0.0
+    focus_distance_mm: Annotated[float, Gt(0.0)] = np.inf
     kind: Literal["perspective", "telecentric"] = "perspective"
     natural_vignetting: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("focal_length_mm", "focus_distance_mm"):
-            value = getattr(self, name)
-            if not value > 0:
-                raise InputError(f"lens {name}", "a positive length (mm)", value)
-        if not np.isfinite(self.focal_length_mm):
-            raise InputError("lens focal_length_mm", "a finite length", self.focal_length_mm)
-        if not 0 <= self.aperture_radius_mm < np.inf:
-            raise InputError(
-                "lens aperture_radius_mm", "zero or a positive length (mm)", self.aperture_radius_mm
-            )
+        super().__post_init__()
         if self.kind == "telecentric" and not np.isfinite(self.focus_distance_mm):
             raise InputError(
-                "lens focus_distance_mm", "a finite distance for a telecentric lens", "infinity"
+                "lens: focus_distance_mm", "a finite distance for a telecentric lens", "infinity"
             )
 
     @classmethod
+    @checked
     def telecentric(
-        cls, magnification: float, numerical_aperture: float, focus_distance_mm: float
+        cls, magnification: Positive, numerical_aperture: Aperture, focus_distance_mm: Positive
     ) -> Self:
         """Return an object-space telecentric lens.
 
@@ -66,10 +60,6 @@ class Lens:
             Object-side numerical aperture, in [0, 1).
         focus_distance_mm : float
         """
-        if not magnification > 0:
-            raise InputError("lens magnification", "a positive number", magnification)
-        if not 0 <= numerical_aperture < 1:
-            raise InputError("lens numerical_aperture", "a number in [0, 1)", numerical_aperture)
         radius = focus_distance_mm * np.tan(np.arcsin(numerical_aperture))
         return cls(magnification * focus_distance_mm, radius, focus_distance_mm, "telecentric")
 

@@ -33,16 +33,18 @@ _NOMINAL_PITCH_UM = 5.0
 #: Keys by the last word of the place that an error of the rig's own classes names.
 _KEYS = {
     "focal_length_mm": "pitch_um_{}",
-    "pitch": "pitch_um_{}",
+    "pitch_mm": "pitch_um_{}",
     "aperture_radius_mm": "aperture_radius_mm_{}",
     "focus_distance_mm": "focus_distance_mm_{}",
-    "tilt": "dist_{}",
-    "resolution": "size_{}",
+    "kind": "lens_{}",
+    "tilt_rad": "dist_{}",
+    "width": "size_{}",
+    "height": "size_{}",
     "flux_w": "flux_w",
     "bit_depth": "bit_depth_{}",
     "gamma": "gamma_{}",
     "volume": "volume_mm",
-    "body": "body_mm_{}",
+    "body_mm": "body_mm_{}",
     "devices": "name_{}",
 }
 
@@ -53,7 +55,7 @@ def _blaming_the_file(path: str | Path, name: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        key = _KEYS[error.where.split()[-1]].format(name)
+        key = _KEYS[error.where.split()[-1].partition("[")[0]].format(name)
         raise InputError(f"{path}: {key}", error.expected, error.got) from None
 
 
@@ -164,8 +166,6 @@ def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
     if not (width.is_integer() and height.is_integer()):
         raise InputError(f"{values.path}: size_{name}", "whole numbers", f"{width} x {height}")
     kind = str(values.values.get(f"lens_{name}", "perspective"))
-    if kind not in ("perspective", "telecentric"):
-        raise InputError(f"{values.path}: lens_{name}", "perspective or telecentric", kind)
     focus_key = f"focus_distance_mm_{name}"
     focus = values.number(focus_key, 0.0) if focus_key in values.values else np.inf
     aperture = values.number(f"aperture_radius_mm_{name}", 0.0)

@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.types import Finite, Positive
+from slbench.core.values import Value
 from slbench.rig.device import Camera, Projector
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners
@@ -48,26 +50,24 @@ def rotation_yx(alpha: ArrayLike, beta: ArrayLike) -> Array:
 
 
 @dataclass(frozen=True)
-class DesignVariables:
+class DesignVariables(Value):
     """The six design variables of thesis 3.1.2, in mm and rad."""
 
-    z_ref: float
-    w: float
-    h: float
-    l: float  # noqa: E741 - the thesis's name
-    alpha_p: float
-    beta_p: float
+    z_ref: Positive
+    w: Finite
+    h: Finite
+    l: Finite  # noqa: E741 - the thesis's name
+    alpha_p: Finite
+    beta_p: Finite
 
     def __post_init__(self) -> None:
-        values = (self.z_ref, self.w, self.h, self.l, self.alpha_p, self.beta_p)
-        if not np.all(np.isfinite(values)):
-            raise InputError("rig design variables", "six finite numbers", values)
+        super().__post_init__()
         axis = rotation_yx(self.alpha_p, self.beta_p)[:, 2]
-        if self.z_ref <= 0 or axis[2] <= 0:
+        if axis[2] <= 0:
             raise InputError(
-                "rig design variables",
-                "a projector axis that meets the reference plane in front (z_ref > 0)",
-                f"z_ref = {self.z_ref} mm, angles {self.alpha_p}, {self.beta_p} rad",
+                "design variables: alpha_p, beta_p",
+                "a projector axis that meets the reference plane in front",
+                f"{self.alpha_p}, {self.beta_p} rad",
             )
 
     @property
@@ -88,7 +88,7 @@ class DesignVariables:
         position = np.array([self.w, self.h, self.l])
         view = target - position
         if np.linalg.norm(view) < 1e-9:
-            raise InputError("rig design variables", "a camera apart from the target", position)
+            raise InputError("design variables", "a camera apart from the target", position)
         alpha_c = np.arctan2(view[0], view[2])
         beta_c = np.arctan2(-view[1], np.hypot(view[0], view[2]))
         camera = Pose(

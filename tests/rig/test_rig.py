@@ -113,22 +113,10 @@ def test_rotation_is_ry_rx():
 
 
 class TestBadInput:
-    @pytest.mark.parametrize(
-        "change",
-        [
-            {"z_ref": np.nan},
-            {"w": np.inf},
-            {"z_ref": 0.0},
-            {"z_ref": -5.0},
-            {"alpha_p": 2.0},
-            {"beta_p": -2.0},
-        ],
-    )
-    def test_design_variables(self, change):
-        with pytest.raises(InputError) as caught:
+    @pytest.mark.parametrize("change", [{"alpha_p": 2.0}, {"beta_p": -2.0}])
+    def test_a_projector_that_looks_away(self, change):
+        with pytest.raises(InputError, match="alpha_p, beta_p: expected a projector axis"):
             replace(CONFIGURATION_5, **change)
-        assert str(caught.value).startswith("rig design variables: expected")
-        assert "\n" not in str(caught.value)
 
     def test_a_camera_in_the_target(self):
         target = CONFIGURATION_5.target

@@ -1,0 +1,123 @@
+"""Annotated types: what numbers and words from people may be, each bound in one place.
+
+A type is written where the value is declared (a field of a :class:`~slbench.core.values.Value` or
+of a table of a file, an argument of a public function); what checks it is in
+:mod:`slbench.core.values` and :mod:`slbench.core.validation`, and what a message calls it in
+:mod:`slbench.core.wording`.  Importing this module does not import pydantic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Gt, Interval, Le, Lt, MaxLen, MinLen
+
+__all__ = [
+    "Angle",
+    "Aperture",
+    "Axes",
+    "Axis",
+    "BitDepth",
+    "Bounces",
+    "Confidence",
+    "Coordinate",
+    "Count",
+    "Distortion",
+    "Finite",
+    "Fraction",
+    "Ge",
+    "Gt",
+    "Interval",
+    "Le",
+    "Length",
+    "Lt",
+    "MaxLen",
+    "MinLen",
+    "NotNegative",
+    "Pair",
+    "PanelBits",
+    "Percentile",
+    "Pixels",
+    "Positive",
+    "Samples",
+    "Seed",
+    "Share",
+    "Shifts",
+    "Size",
+    "Vector",
+    "Words",
+]
+
+
+@dataclass(frozen=True)
+class _FiniteMark:
+    """Metadata: neither infinite nor NaN."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        schema = handler(source)
+        schema["allow_inf_nan"] = False
+        return schema
+
+
+@dataclass(frozen=True)
+class Words:
+    """Metadata: what a message says is expected, where the type itself says it badly."""
+
+    text: str
+
+
+FINITE = _FiniteMark()
+
+#: Any finite number.
+Finite = Annotated[float, FINITE]
+Positive = Annotated[float, FINITE, Gt(0.0)]
+NotNegative = Annotated[float, FINITE, Ge(0.0)]
+#: A length, mm.  From a micrometre to ten metres: beyond, it is a slip of the unit.
+Length = Annotated[float, FINITE, Interval(ge=1e-3, le=1e4)]
+#: A coordinate in the world, mm or degrees.
+Coordinate = Annotated[float, FINITE, Interval(ge=-1e6, le=1e6)]
+#: A part of a whole, none included.
+Share = Annotated[float, Interval(ge=0.0, le=1.0), FINITE]
+#: A part of a whole that is not nothing.
+Fraction = Annotated[float, Interval(gt=0.0, le=1.0), FINITE]
+#: A percentile, which is not the smallest value.
+Percentile = Annotated[float, Interval(gt=0.0, le=100.0), FINITE]
+Confidence = Annotated[float, Interval(ge=0.5, le=0.9999), FINITE]
+#: A plane angle of a sensor's tilt, rad: less than 60 degrees.
+Angle = Annotated[
+    float,
+    FINITE,
+    Interval(gt=-1.0471975511965976, lt=1.0471975511965976),
+    Words("less than 60 deg"),
+]
+#: A numerical aperture in air.
+Aperture = Annotated[float, Interval(ge=0.0, lt=1.0), FINITE]
+
+#: A number of things.
+Count = Annotated[int, Ge(1)]
+#: Pixels along a side.
+Pixels = Annotated[int, Ge(1)]
+#: Monte Carlo samples a pixel.
+Samples = Annotated[int, Interval(ge=1, le=65536)]
+#: Interreflections followed after the direct light.
+Bounces = Annotated[int, Interval(ge=0, le=16)]
+#: Phase shifts of a set of fringes.
+Shifts = Annotated[int, Interval(ge=3, le=1000)]
+#: Of a random stream.
+Seed = Annotated[int, Ge(0)]
+#: Bits of a digital number that cameras have.
+BitDepth = Literal[8, 10, 12, 14, 16]
+Axis = Literal["u", "v"]
+#: Axes that patterns code, in the order of their frames.
+Axes = Literal["u", "v", "uv", "vu"]
+
+#: Bits of a panel's grey levels.
+PanelBits = Annotated[int, Interval(ge=1, le=16)]
+
+Pair = tuple[Finite, Finite]
+#: OpenCV's k1, k2, p1, p2, k3.
+Distortion = tuple[Finite, Finite, Finite, Finite, Finite]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
+#: Lengths along x, y and z, mm.
+Size = tuple[Positive, Positive, Positive]

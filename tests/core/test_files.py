@@ -1,0 +1,128 @@
+"""Files that people write: what their models refuse is one line naming file, key, both sides.
+
+One property a model, derived from its schema: a misspelt key, a missing one, a value of another
+kind and a number out of range.  What keys mean together is tested where the model stands.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+import pytest
+from helpers.refusals import required, tables
+
+import slbench
+from slbench import objects
+from slbench.bench.claims import baseline, file
+from slbench.calibration.models import model as calibration
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.core.io import read_toml
+from slbench.core.validation import Parameters, validated
+from slbench.core.wording import _base, _fields
+from slbench.datasets.spec.distributions import Distribution
+from slbench.datasets.spec.specification import Specification
+from slbench.design.rig import hardware
+from slbench.objects import KINDS
+from slbench.scene.file import read_merged
+from slbench.scene.tables import SceneTables
+
+OBJECTS = {name: read_toml(resources.find("objects", name)) for name in resources.names("objects")}
+SCENE = read_merged(resources.find("scenes", "step-block"))
+COORDINATE = {
+    "form": "M1",
+    "terms": ["1"],
+    "coefficients_mm": [0.5],
+    "covariance_mm2": [[0.1]],
+    "residual_std_mm": 0.01,
+}
+
+#: A model of each kind of file, and a file that it takes.
+FILES: list[tuple[type[Parameters], Mapping[str, Any]]] = [
+    (
+        SceneTables,
+        SCENE | {"focus": {"settings": 3}, "materials": {"white": {}}, "detector": {"seed": 1}},
+    ),
+    (
+        SceneTables,
+        {k: v for k, v in SCENE.items() if k != "rig"}
+        | {"rig": {d: {"position_mm": [0.0, 10.0, 500.0]} for d in ("camera", "projector")}},
+    ),
+    (Specification, read_toml(resources.find("scenes", "datasets/mixed"))),
+    (Distribution, {"uniform": [0.5, 0.9], "name": "level"}),
+    (hardware._HardwareFile, read_merged(resources.find("scenes", "hardware/macro-ch6"))),
+    (hardware._Volume, {"volume_mm": [60.0, 70.0, 30.0]}),
+    (file._File, {"claim": [{"name": "flat"}]}),
+    (file._Claim, {"name": "flat", "scene": "plane", "quantity": "plane.rms_mm", "max": 0.1}),
+    (
+        baseline._File,
+        {
+            "format": 2,
+            "slbench": "0.1",
+            "seed": 0,
+            "claims": {"flat": {"identity": {}, "scenes": ["a"], "values": [0.1, 0.2]}},
+        },
+    ),
+    (
+        calibration._File,
+        {
+            "kind": "calibration",
+            "version": 1,
+            "axes": "u",
+            "mean_px": [0.0],
+            "scale_px": [1.0],
+            "coordinates": dict.fromkeys("xyz", COORDINATE),
+            "half_spaces": [[1.0]],
+        },
+    ),
+    (objects._ArtefactFile, OBJECTS["sphere"]),
+    *((KINDS[table["kind"]].parameters, table["parameters"]) for table in OBJECTS.values()),
+]
+#: Models of which no file stands alone: parts of the above, or looked into by a parent.
+PARTS = {"MeshParameters", "ToothedParameters"}
+
+
+def _reached(model: Any) -> Iterator[str]:
+    if isinstance(model, type) and issubclass(model, Parameters):
+        yield model.__name__
+        for base in model.__mro__[1:]:
+            if issubclass(base, Parameters):
+                yield base.__name__
+        for hint in _fields(model).values():
+            yield from _reached(_base(hint))
+    elif get_origin(model) is not None:
+        for argument in get_args(model):
+            yield from _reached(_base(argument))
+
+
+def test_every_model_of_a_file_is_tried():
+    bases: dict[str, set[str]] = {}
+    for path in Path(slbench.__file__).parent.rglob("*.py"):
+        for name, parents in re.findall(r"^class (\w+)\(([\w, ]+)\):", path.read_text(), re.M):
+            bases[name] = set(parents.split(", "))
+    found = {"Parameters"}
+    while more := {name for name, parents in bases.items() if parents & found} - found:
+        found |= more
+    tried = {name for model, _ in FILES for name in _reached(model)}
+    assert found - tried - {"Parameters"} <= PARTS
+
+
+@pytest.mark.parametrize(("model", "good"), FILES, ids=lambda value: getattr(value, "__name__", ""))
+def test_a_wrong_key_or_value_is_one_line_that_names_it(model, good):
+    validated(model, good, "file.toml", ": ")
+    cases = [
+        *tables(model, good),
+        *((k, {x: good[x] for x in good if x != k}) for k in required(model)),
+    ]
+    for key, table in cases:
+        with pytest.raises(InputError) as caught:
+            validated(model, table, "file.toml", ": ")
+        line = str(caught.value)
+        assert re.fullmatch(rf"file\.toml: .*\b{key}\b.*", line), line
+        assert re.fullmatch(r"file\.toml(: [^:]+)?: expected .+, got .+", line), line
+        assert not re.search("Input should|Value error|Extra inputs|Field required", line), line
+        if key.endswith("x") and f"got '{key}'" in line:
+            assert f"did you mean '{key[:-1]}'" in line or len(key) < 4, line

@@ -1,0 +1,87 @@
+"""Values and arguments are refused by their types alone: one property a class, derived from it."""
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.refusals import wrong_values
+
+import slbench
+from slbench.core.errors import InputError
+from slbench.core.types import Percentile, Samples
+from slbench.core.values import checked
+from slbench.rig import Camera, DesignVariables, Device, Lens, Projector
+
+LENS = Lens(16.0, 1.0, 100.0)
+CAMERA = Camera(64, 48, (0.01, 0.01), LENS)
+PROJECTOR = Projector(64, 48, (0.01, 0.01), LENS)
+
+#: One of each class of values.
+VALUES = [
+    LENS,
+    Device(64, 48, (0.01, 0.01), LENS),
+    CAMERA,
+    PROJECTOR,
+    DesignVariables(100.0, 50.0, 0.0, 5.0, 0.1, 0.0),
+]
+
+
+def test_every_class_of_values_has_an_example():
+    bases = {}
+    for path in Path(slbench.__file__).parent.rglob("*.py"):
+        for name, parents in re.findall(r"^class (\w+)\(([\w, ]+)\):", path.read_text(), re.M):
+            bases[name] = set(parents.split(", "))
+    found = {"Value"}
+    while more := {name for name, parents in bases.items() if parents & found} - found:
+        found |= more
+    assert found - {"Value"} == {type(value).__name__ for value in VALUES}
+
+
+@pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
+def test_a_wrong_field_is_named_with_what_was_expected_and_found(value: Any):
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(value).__name__).lower()
+    tried = 0
+    for name, hint in value.fields_of().items():
+        for wrong in wrong_values(hint):
+            with pytest.raises(InputError) as caught:
+                dataclasses.replace(value, **{name: wrong})
+            line = str(caught.value)
+            assert re.match(rf"{words}: {name}\b.*: expected .+, got .+", line), line
+            assert "\n" not in line
+            assert "Input should" not in line
+            assert "Value error" not in line
+            tried += 1
+    assert tried >= len(value.fields_of())
+
+
+def test_numpy_scalars_and_lists_are_taken_as_pythons():
+    lens = Lens(np.float32(16.0), np.int64(1), 100)
+    assert (lens.focal_length_mm, lens.aperture_radius_mm) == (16.0, 1.0)
+    assert {type(number) for number in (lens.focal_length_mm, lens.aperture_radius_mm)} == {float}
+    camera = dataclasses.replace(CAMERA, pitch_mm=[0.01, np.float64(0.02)])
+    assert camera.pitch_mm == (0.01, 0.02)
+
+
+def test_a_wrong_choice_names_the_nearest():
+    with pytest.raises(InputError, match="did you mean 'telecentric'"):
+        Lens(16.0, kind="telecentrik")  # type: ignore[arg-type]
+
+
+@checked
+def _measured(data: list[float], samples: Samples = 64, *, percentile: Percentile | None = None):
+    return data, samples, percentile
+
+
+def test_arguments_are_checked_by_their_types():
+    assert _measured([1.0], np.int32(3)) == ([1.0], 3, None)
+    with pytest.raises(
+        InputError, match=r"^samples: expected a whole number from 1 to 65536, got 0"
+    ):
+        _measured([], 0)
+    with pytest.raises(InputError, match=r"^percentile: expected a number in \(0, 100\], got 0.0$"):
+        _measured([], percentile=0.0)
+    with pytest.raises(TypeError, match="smaples"):
+        _measured([], smaples=1)  # type: ignore[call-arg]
