@@ -15,7 +15,6 @@ import pytest
 from helpers.refusals import required, tables
 
 import slbench
-from slbench import objects
 from slbench.bench.claims import baseline, file
 from slbench.calibration.models import model as calibration
 from slbench.core import resources
@@ -26,7 +25,7 @@ from slbench.core.wording import _base, _fields
 from slbench.datasets.spec.distributions import Distribution
 from slbench.datasets.spec.specification import Specification
 from slbench.design.rig import hardware
-from slbench.objects import KINDS
+from slbench.objects import artefacts, loading
 from slbench.scene.file import read_merged
 from slbench.scene.tables import SceneTables
 
@@ -78,8 +77,8 @@ FILES: list[tuple[type[Parameters], Mapping[str, Any]]] = [
             "half_spaces": [[1.0]],
         },
     ),
-    (objects._ArtefactFile, OBJECTS["sphere"]),
-    *((KINDS[table["kind"]].parameters, table["parameters"]) for table in OBJECTS.values()),
+    (loading._ArtefactFile, OBJECTS["sphere"]),
+    *((artefacts.get(t["kind"]).parameters, t["parameters"]) for t in OBJECTS.values()),
 ]
 #: Models of which no file stands alone: parts of the above, or looked into by a parent.
 PARTS = {"MeshParameters", "ToothedParameters"}
