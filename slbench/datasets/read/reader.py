@@ -8,6 +8,7 @@ noise draw (docs/how-to/datasets-use.md).
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,7 +24,7 @@ from slbench.core.errors import InputError
 from slbench.datasets.manifest import MANIFEST, Manifest
 from slbench.datasets.read.split import by_object
 from slbench.datasets.read.stored import Row, Sample
-from slbench.datasets.read.where import compile_where
+from slbench.datasets.read.where import rows_where
 from slbench.datasets.store import index
 from slbench.datasets.store.shards import key
 from slbench.datasets.store.storage import Storage
@@ -114,8 +115,8 @@ class Dataset(Sequence[Sample]):
         InputError
             If it cannot be read, or names no column of the index.
         """
-        holds = compile_where(expression, self.manifest.columns)
-        return replace(self, rows=tuple(row for row in self.rows if holds(row)))
+        holds = rows_where(expression, self.rows, self.manifest.columns)
+        return replace(self, rows=tuple(itertools.compress(self.rows, holds)))
 
     def split(self, *, seed: int = 0, **fractions: float) -> dict[str, Dataset]:
         """Split so that no object is in two parts, e.g. ``split(train=0.8, test=0.2)``.
