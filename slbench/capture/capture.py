@@ -21,6 +21,9 @@ beside ``capture.toml``, and the same manifest describes real photographs::
     read_dn = 0.19
     gain_dn_per_e = 0.016
     offset_dn = 2.0
+
+``modules = ["my_codes.py"]`` at its top names Python files beside it that add pattern codes
+(:mod:`slbench.core.modules`).
 """
 
 from __future__ import annotations
@@ -35,6 +38,7 @@ from numpy.typing import NDArray
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_grey, read_toml, write_png, write_toml
+from slbench.core.modules import load_modules
 from slbench.patterns import (
     MIN_MODULATION_DN,
     NoiseModel,
@@ -59,6 +63,7 @@ _KEYS = {
     "patterns",
     "noise",
     "exposure_ms",
+    "modules",
     *Pair._fields,
 }
 
@@ -183,8 +188,14 @@ class Capture:
         write_toml(root / MANIFEST, manifest)
 
     @classmethod
-    def load(cls, folder: str | Path) -> Capture:
+    def load(cls, folder: str | Path, *, allow_modules: bool = False) -> Capture:
         """Read a folder with a manifest: what :meth:`save` wrote, or real photographs.
+
+        Parameters
+        ----------
+        folder : path
+        allow_modules : bool
+            Run the Python modules that the manifest names: code of its author.
 
         Raises
         ------
@@ -203,6 +214,8 @@ class Capture:
                 raise InputError(f"{path}: {key}", "this key to be present", "nothing")
         if manifest.get("format", _FORMAT) != _FORMAT:
             raise InputError(f"{path}: format", str(_FORMAT), manifest["format"])
+        modules = manifest.get("modules", ())
+        load_modules(modules, path.parent, allow_modules, f"{path}: modules")
         try:
             sequence = PatternSequence.from_dict(manifest["patterns"])
             noise = _noise(manifest["noise"]) if "noise" in manifest else None
@@ -223,12 +236,12 @@ class Capture:
             raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
 
 
-def read_capture(folder: str | Path) -> Capture:
+def read_capture(folder: str | Path, *, allow_modules: bool = False) -> Capture:
     """Read a folder of frames with its ``capture.toml``, simulated or photographed.
 
     The function of :meth:`Capture.load`, which says what is raised.
     """
-    return Capture.load(folder)
+    return Capture.load(folder, allow_modules=allow_modules)
 
 
 def _pair(manifest: dict[str, Any]) -> Pair:

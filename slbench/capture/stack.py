@@ -222,8 +222,14 @@ class FocusStack:
         write_toml(root / MANIFEST, manifest)
 
     @classmethod
-    def load(cls, folder: str | Path) -> FocusStack:
+    def load(cls, folder: str | Path, *, allow_modules: bool = False) -> FocusStack:
         """Open a folder with a ``stack.toml``; frames are read when they are needed.
+
+        Parameters
+        ----------
+        folder : path
+        allow_modules : bool
+            As for :meth:`Capture.load <slbench.capture.capture.Capture.load>`.
 
         Raises
         ------
@@ -237,7 +243,7 @@ class FocusStack:
         names = manifest.get("captures")
         if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
             raise InputError(f"{path}: captures", "a list of folders", repr(names)[:60])
-        captures = _Folders(path, names)
+        captures = _Folders(path, names, allow_modules)
         devices = captures[0].pair
         known = {*_KEYS, *(name + _FOCUS for name in devices)}
         for key in manifest:
@@ -246,20 +252,21 @@ class FocusStack:
         return cls(captures, _focus(path, manifest, devices), captures.frame)
 
 
-def read_stack(folder: str | Path) -> FocusStack:
+def read_stack(folder: str | Path, *, allow_modules: bool = False) -> FocusStack:
     """Open a folder of captures with its ``stack.toml``.
 
     The function of :meth:`FocusStack.load`, which says what is raised.
     """
-    return FocusStack.load(folder)
+    return FocusStack.load(folder, allow_modules=allow_modules)
 
 
 class _Folders(Sequence[Capture]):
     """Captures on disk, alike by their manifests; the first is kept."""
 
-    def __init__(self, path: Path, names: list[str]) -> None:
+    def __init__(self, path: Path, names: list[str], allow_modules: bool) -> None:
+        self._allow = allow_modules
         self._folders = [resources.inside(path.parent, name) for name in names]
-        self._first = Capture.load(self._folders[0])
+        self._first = Capture.load(self._folders[0], allow_modules=allow_modules)
         self._frames: list[list[str]] = []
         alike: dict[str, Any] = {}
         for name, folder in zip(names, self._folders, strict=True):
@@ -281,7 +288,9 @@ class _Folders(Sequence[Capture]):
         return len(self._folders)
 
     def __getitem__(self, index: Any) -> Any:
-        return self._first if index == 0 else Capture.load(self._folders[index])
+        if index == 0:
+            return self._first
+        return Capture.load(self._folders[index], allow_modules=self._allow)
 
     def frame(self, setting: int, index: int) -> NDArray[Any]:
         """Read one frame."""

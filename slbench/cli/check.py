@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slbench.cli.common import Json, Preview, Seed, print_json, print_table, progress
+from slbench.cli.common import AllowModules, Json, Preview, Seed, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -37,6 +37,7 @@ def check(
     ] = None,
     seed: Seed = 0,
     preview: Preview = False,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Check the claims of a file against measurements.
@@ -56,7 +57,7 @@ def check(
     from slbench.bench.claims.junit import write_junit
     from slbench.bench.claims.pools import Pools
 
-    loaded = load_claims(claims, preview=preview)
+    loaded = load_claims(claims, preview=preview, allow_modules=allow_modules)
     kept = baseline or default_path(claims)
     if junit is not None:
         _check_path("--junit", junit, claims, kept)
@@ -66,7 +67,7 @@ def check(
             expected = f"no --preview, or another --baseline: {kept} is of full size"
             raise InputError("--update", expected, "--preview")
     with progress(as_json) as report:
-        pools = Pools(seed, report)
+        pools = Pools(seed, report, allow_modules)
         with _naming(claims):
             for claim in loaded:
                 pools.check(claim)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slbench.cli.common import (
+    AllowModules,
     Json,
     Preview,
     SceneName,
@@ -49,6 +50,7 @@ def compare(
     ] = None,
     seed: Seed = 0,
     preview: Preview = False,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Compare pattern sets by repeated scans in the same light."""
@@ -66,7 +68,7 @@ def compare(
         from slbench.report.page import check_page_path, write_page
 
         check_page_path(report, "--report")
-    loaded = load_scene(scene, preview=preview)
+    loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
     pattern_sets(sets, loaded, shifts=own_shifts(loaded), equal=equal)  # type: ignore[arg-type]
     folder = out or Path("out") / f"compare-{loaded.name}"
     check_folder(folder)

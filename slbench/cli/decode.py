@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, MinModulation, check_folder, print_json
+from slbench.cli.common import AllowModules, Json, MinModulation, check_folder, print_json
 from slbench.cli.lazy import command
 
 
@@ -22,6 +22,7 @@ def decode(
     ] = None,
     rig: Annotated[Path | None, typer.Option(help="Rig (OpenCV YAML) to triangulate with.")] = None,
     min_modulation: MinModulation = None,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Decode frames from disk; triangulate where a rig is known.
@@ -34,7 +35,7 @@ def decode(
 
     target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
     check_folder(target)
-    shots = Capture.load(folder)
+    shots = Capture.load(folder, allow_modules=allow_modules)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig))
     decoded = decode_capture(shots, min_modulation=min_modulation)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slbench.cli.common import Json, check_folder, print_json, print_table, progress
+from slbench.cli.common import AllowModules, Json, check_folder, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -43,6 +43,7 @@ def fuse(
         str, typer.Option(help="saf: corrected, or published (as the authors' program).")
     ] = "corrected",
     window: Annotated[int, typer.Option(help="Window of the measure, pixels, odd.")] = 9,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Fuse photographs of different focus into one all in focus.
@@ -60,7 +61,7 @@ def fuse(
     from slbench.core.io import atomic_folder, write_exr, write_png
 
     if (folder / MANIFEST).exists():
-        _fuse_stack(folder, out, method, measure, align, variant, window, as_json)
+        _fuse_stack(folder, out, method, measure, align, variant, window, allow_modules, as_json)
         return
     _check_choices(method, align, measure, variant, window)
     _check_out(out, folder)
@@ -104,6 +105,7 @@ def _fuse_stack(
     align: str,
     variant: str,
     window: int,
+    allow_modules: bool,
     as_json: bool,
 ) -> None:
     """Fuse a stack of captures into one, with the maps of the weights beside it."""
@@ -120,7 +122,7 @@ def _fuse_stack(
     check_folder(out)
     if out.absolute().resolve().is_relative_to(folder.absolute().resolve()):
         raise InputError("--out", "a folder outside the stack's", out)
-    stack = FocusStack.load(folder)
+    stack = FocusStack.load(folder, allow_modules=allow_modules)
     begin = time.perf_counter()
     alignment = None
     with progress(as_json):

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slbench.cli.common import (
+    AllowModules,
     Json,
     Preview,
     SceneName,
@@ -52,6 +53,7 @@ def scan(
         Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
     ] = None,
     preview: Preview = False,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Measure a scene: trace, capture, decode, triangulate, score."""
@@ -61,7 +63,7 @@ def scan(
     from slbench.simulate.folder import write_scan
     from slbench.simulate.scan import scan as run
 
-    loaded = load_scene(scene, preview=preview)
+    loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
     if patterns is not None or steps is not None or axes is not None:
         given: dict[str, Any] = {"sequence": "1,10,50", "shifts": 3, "axes": "u"}
         given |= loaded.specification.get("patterns", {})

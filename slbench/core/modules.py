@@ -20,8 +20,8 @@ from slbench.core.errors import InputError
 from slbench.core.registry import adding
 from slbench.core.resources import inside
 
-#: Path and SHA-256 of the modules that were run in this process, by content.
-_run: dict[str, str] = {}
+#: Path and content of the modules that were run in this process, by SHA-256.
+_run: dict[str, tuple[str, bytes]] = {}
 
 
 def load_modules(
@@ -62,7 +62,7 @@ def load_modules(
         found.append({"path": name, "sha256": digest})
         if digest not in _run:
             _execute(path, content, digest, f"{where}: {name}")
-            _run[digest] = str(path)
+            _run[digest] = (str(path), content)
     return tuple(found)
 
 
@@ -92,7 +92,12 @@ def module_paths(
 
 def used_modules() -> list[dict[str, str]]:
     """Return path and SHA-256 of the modules that were run in this process."""
-    return [{"path": path, "sha256": digest} for digest, path in _run.items()]
+    return [{"path": path, "sha256": digest} for digest, (path, _) in _run.items()]
+
+
+def module_content(sha256: str) -> bytes:
+    """Return the content of a module that was run."""
+    return _run[sha256][1]
 
 
 def _execute(path: Path, content: bytes, digest: str, where: str) -> None:

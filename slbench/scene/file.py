@@ -6,6 +6,9 @@ to the scene's folder and cannot leave it.
 ``extends = "..."`` takes everything from another scene first: tables are merged key by key,
 anything else (lists too) is replaced.  What several scenes share thus stands once, in
 ``scenes/hardware``.
+
+``modules = ["my_codes.py"]`` names Python files beside the scene that add to the registries
+(:mod:`slbench.core.modules`); those of a scene that is extended run first.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from slbench import objects
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
+from slbench.core.modules import load_modules
 from slbench.core.validation import validated
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Pose, Projector, Rig
@@ -34,7 +38,9 @@ from slbench.scene.tables import SceneTables
 _PREVIEW_WIDTH = 320
 
 
-def load_scene(name_or_path: str | Path, *, preview: bool = False) -> Scene:
+def load_scene(
+    name_or_path: str | Path, *, preview: bool = False, allow_modules: bool = False
+) -> Scene:
     """Load a scene from a TOML file.
 
     Parameters
@@ -44,6 +50,8 @@ def load_scene(name_or_path: str | Path, *, preview: bool = False) -> Scene:
     preview : bool
         Fewer camera pixels and samples, so that a scan takes seconds: the scene's
         ``[preview]``, by default at most 320 pixels wide with 16 samples each.
+    allow_modules : bool
+        Run the Python modules that the file names: code of its author.
 
     Returns
     -------
@@ -55,14 +63,14 @@ def load_scene(name_or_path: str | Path, *, preview: bool = False) -> Scene:
         Naming the file and key of the first thing that cannot be used.
     """
     path = resources.find("scenes", name_or_path)
-    scene, file = _load(path, _objects)
+    scene, file = _load(path, _objects, allow_modules)
     if not preview:
         return scene
     divisor = file.preview.divisor or max(1, -(-scene.rig.camera.width // _PREVIEW_WIDTH))
     return scene.coarser(divisor, file.preview.samples)
 
 
-def load_settings(path: Path) -> Scene:
+def load_settings(path: Path, *, allow_modules: bool = False) -> Scene:
     """Load a scene with a plane in the place of its objects, which cost most to load.
 
     That is all that exposing frames from light transport needs, however many its objects are
@@ -73,7 +81,7 @@ def load_settings(path: Path) -> Scene:
     InputError
         As :func:`load_scene`, but for the objects.
     """
-    return _load(path, lambda file, path: _placeholder())[0]
+    return _load(path, lambda file, path: _placeholder(), allow_modules)[0]
 
 
 @cache
@@ -82,9 +90,11 @@ def _placeholder() -> tuple[SceneObject, ...]:
 
 
 def _load(
-    path: Path, build_objects: Callable[[SceneTables, Path], tuple[SceneObject, ...]]
+    path: Path,
+    build_objects: Callable[[SceneTables, Path], tuple[SceneObject, ...]],
+    allow_modules: bool,
 ) -> tuple[Scene, SceneTables]:
-    content = read_merged(path)
+    content = read_merged(path, allow_modules)
     file = validated(SceneTables, content, path.name, separator=": ")
     try:
         return _build(file, path, content, build_objects(file, path)), file
@@ -94,17 +104,47 @@ def _load(
         raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
 
 
-def read_merged(path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Read a scene file, merged into what it extends."""
-    return extended(read_toml(path), path, seen)
+def read_merged(
+    path: Path, allow_modules: bool = False, seen: tuple[Path, ...] = ()
+) -> dict[str, Any]:
+    """Read a scene file, merged into what it extends; see :func:`extended`."""
+    return extended(read_toml(path), path, allow_modules, seen)
 
 
-def extended(content: dict[str, Any], path: Path, seen: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Return a scene's content merged into what it extends; `path` is where it was read."""
+def extended(
+    content: dict[str, Any], path: Path, allow_modules: bool = False, seen: tuple[Path, ...] = ()
+) -> dict[str, Any]:
+    """Return a scene's content merged into what it extends, and run its modules.
+
+    Parameters
+    ----------
+    content : dict
+    path : Path
+        Where it was read.
+    allow_modules : bool
+        Whether modules may be run.
+    seen : tuple of Path
+        Files that extend this one.
+
+    Returns
+    -------
+    dict
+        ``modules`` in it are names and SHA-256, of all files in the order in which they ran.
+    """
     content = dict(content)
     base = content.pop("extends", None)
-    if base is None:
-        return content
+    merged = content if base is None else _with_base(content, base, path, allow_modules, seen)
+    names = content.get("modules", ())
+    own = load_modules(names, path.parent, allow_modules, f"{path.name}: modules")
+    before = () if base is None else merged.get("modules", ())
+    merged.pop("modules", None)
+    return merged | {"modules": (*before, *own)} if before or own else merged
+
+
+def _with_base(
+    content: dict[str, Any], base: Any, path: Path, allow_modules: bool, seen: tuple[Path, ...]
+) -> dict[str, Any]:
+    """Return content merged into the scene that it extends, but for its modules."""
     where = f"{path.name}: extends"
     if not isinstance(base, str):
         raise InputError(where, "a scene file beside it or the name of a shipped scene", repr(base))
@@ -118,7 +158,8 @@ def extended(content: dict[str, Any], path: Path, seen: tuple[Path, ...] = ()) -
     seen = (*seen, path.resolve())
     if parent.resolve() in seen:
         raise InputError(where, "a chain of scenes with an end", f"{base}, which comes again")
-    return _merged(read_merged(parent, seen), content)
+    own = {key: value for key, value in content.items() if key != "modules"}
+    return _merged(read_merged(parent, allow_modules, seen), own)
 
 
 def _merged(base: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:

@@ -275,6 +275,8 @@ class SceneTables(Parameters):
     # The name becomes a folder's.
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=100)]
     description: str = ""
+    # What ran (slbench.scene.file.extended): path and SHA-256.
+    modules: tuple[dict[str, str], ...] = ()
     camera: Optics | None = None
     projector: ProjectorOptics | None = None
     detector: DetectorTable = DetectorTable()

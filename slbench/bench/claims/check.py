@@ -136,6 +136,7 @@ def check(
     *,
     seed: int = 0,
     preview: bool = False,
+    allow_modules: bool = False,
     on_progress: Callable[[str, float], None] | None = None,
 ) -> list[Result]:
     """Measure what a claims file claims, and judge it.
@@ -148,6 +149,8 @@ def check(
         Of all light and noise.
     preview : bool
         Measure all scenes with few pixels and samples, whatever the claims say.
+    allow_modules : bool
+        Run the Python modules that the file and its scenes name: code of their authors.
     on_progress : callable, optional
         Called with the name of the scene and the finished fraction of its repeats.
 
@@ -161,8 +164,8 @@ def check(
     InputError
         Naming the claim, for a file that cannot be used or a scene that cannot be measured.
     """
-    claims = load_claims(path, preview=preview)
-    pools = Pools(seed, on_progress)
+    claims = load_claims(path, preview=preview, allow_modules=allow_modules)
+    pools = Pools(seed, on_progress, allow_modules)
     for claim in claims:  # a mistake is found before anything is measured
         pools.check(claim)
     return [check_claim(claim, pools) for claim in claims]

@@ -33,6 +33,7 @@ from slbench.bench.claims.verdicts import least_repeats
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
+from slbench.core.modules import load_modules
 from slbench.core.validation import Parameters, shown, validated
 
 Array = NDArray[np.float64]
@@ -82,6 +83,7 @@ class _Claim(_Settings):
 
 
 class _File(Parameters):
+    modules: tuple[Any, ...] = ()
     claim: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)]
 
 
@@ -199,7 +201,9 @@ class Claim:
         return {key: value for key, value in values.items() if value is not None}
 
 
-def load_claims(path: str | Path, *, preview: bool = False) -> tuple[Claim, ...]:
+def load_claims(
+    path: str | Path, *, preview: bool = False, allow_modules: bool = False
+) -> tuple[Claim, ...]:
     """Read a claims file.
 
     Parameters
@@ -208,6 +212,9 @@ def load_claims(path: str | Path, *, preview: bool = False) -> tuple[Claim, ...]
         TOML with one ``[[claim]]`` or more.
     preview : bool
         Measure all scenes with few pixels and samples, whatever the claims say.
+    allow_modules : bool
+        Run the Python modules that the file names (``modules = ["my_quantities.py"]`` at its
+        top): code of its author.
 
     Returns
     -------
@@ -221,7 +228,9 @@ def load_claims(path: str | Path, *, preview: bool = False) -> tuple[Claim, ...]
         (:meth:`slbench.bench.claims.pools.Pools.check`).
     """
     path = Path(path)
-    tables = validated(_File, read_toml(path), path.name, separator=": ").claim
+    file = validated(_File, read_toml(path), path.name, separator=": ")
+    load_modules(file.modules, path.parent, allow_modules, f"{path.name}: modules")
+    tables = file.claim
     claims: list[Claim] = []
     for k, table in enumerate(tables):
         given = table.get("name")

@@ -52,12 +52,18 @@ class Pools:
         Of all light and noise.
     on_progress : callable, optional
         Called with the name of the scene and the finished fraction of its repeats.
+    allow_modules : bool
+        Run the Python modules that scenes name.
     """
 
     def __init__(
-        self, seed: int = 0, on_progress: Callable[[str, float], None] | None = None
+        self,
+        seed: int = 0,
+        on_progress: Callable[[str, float], None] | None = None,
+        allow_modules: bool = False,
     ) -> None:
         self.seed = seed
+        self._allow_modules = allow_modules
         self._on_progress = on_progress
         self._scenes: dict[Settings, Scene] = {}
         self._rows: dict[Hashable, list[Row]] = {}
@@ -65,7 +71,7 @@ class Pools:
     def scene(self, settings: Settings) -> Scene:
         """Return the scene with its settings, loaded once."""
         if settings not in self._scenes:
-            self._scenes[settings] = _load(settings)
+            self._scenes[settings] = _load(settings, self._allow_modules)
         return self._scenes[settings]
 
     def check(self, claim: Claim) -> None:
@@ -201,9 +207,9 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def _load(settings: Settings) -> Scene:
+def _load(settings: Settings, allow_modules: bool) -> Scene:
     """Load a scene and change what the settings change."""
-    scene = load_scene(settings.scene, preview=settings.preview)
+    scene = load_scene(settings.scene, preview=settings.preview, allow_modules=allow_modules)
     if any(value is not None for value in (settings.patterns, settings.shifts, settings.axes)):
         own: dict[str, Any] = {"sequence": "1,10,50", "shifts": 3, "axes": "u"}
         own |= scene.specification.get("patterns", {})

@@ -3,7 +3,8 @@
 A claim that fails, has regressed against the baseline beside its file or is undecided fails its
 item with one line: a suite must not pass on what nobody knows.  ``slow = true`` in a claim is the
 marker ``slow``.  Settings are the options ``--claims-seed`` and ``--claims-preview``, or
-``claims_seed`` and ``claims_preview`` in the ini file.
+``claims_seed`` and ``claims_preview`` in the ini file; ``--claims-allow-modules`` (the command
+line only) runs the Python modules that claims files and their scenes name.
 
 Every pytest run of everybody who has slbench installed imports this module: all else is imported
 when a claims file is met.
@@ -37,6 +38,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         action="store_true",
         default=None,
         help="measure claims with few pixels and samples",
+    )
+    group.addoption(
+        "--claims-allow-modules",
+        action="store_true",
+        help="run the Python modules that claims files and their scenes name",
     )
     parser.addini("claims_seed", "seed of the scans that claims are tested on", default="0")
     parser.addini("claims_preview", "measure claims at preview size", type="bool", default=False)
@@ -73,7 +79,8 @@ class ClaimsFile(pytest.File):
         kept = default_path(self.path)
         baseline = None
         try:
-            claims = load_claims(self.path, preview=preview)
+            allow = self.config.getoption("claims_allow_modules")
+            claims = load_claims(self.path, preview=preview, allow_modules=allow)
             if kept.is_file():
                 baseline = read_baseline(kept)
         except InputError as error:
@@ -123,7 +130,8 @@ class ClaimItem(pytest.Item):
             seed = str(self.config.getini("claims_seed") if given is None else given)
             if not seed.isdecimal():
                 raise InputError("claims_seed", "a whole number, zero or more", seed)
-            stash[_pools] = Pools(int(seed))
+            allow = self.config.getoption("claims_allow_modules")
+            stash[_pools] = Pools(int(seed), allow_modules=allow)
         return stash[_pools]
 
     def repr_failure(self, excinfo: Any, style: Any = None) -> Any:

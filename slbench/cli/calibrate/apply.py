@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, MinModulation, check_file, print_json
+from slbench.cli.common import AllowModules, Json, MinModulation, check_file, print_json
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -24,6 +24,7 @@ def apply(
         bool, typer.Option("--inside-only", help="Leave out what the model would extrapolate to.")
     ] = False,
     min_modulation: MinModulation = None,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Decode frames; turn every pixel into a point by a model."""
@@ -36,7 +37,7 @@ def apply(
 
     check_file(out, ".ply")
     calibration = CalibrationModel.load(model)
-    phase = Capture.load(capture).decode(min_modulation=min_modulation)
+    phase = Capture.load(capture, allow_modules=allow_modules).decode(min_modulation=min_modulation)
     measured = measure(calibration, phase)
     outside = int(np.count_nonzero(measured.extrapolated))
     decoded = len(measured.cloud)

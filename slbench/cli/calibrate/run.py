@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from slbench.cli.common import (
+    AllowModules,
     Json,
     Preview,
     SceneName,
@@ -59,6 +60,7 @@ def run(
         Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
     ] = None,
     preview: Preview = False,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Render the calibration experiment: dots on a stage to a model."""
@@ -86,7 +88,7 @@ def run(
         raise InputError("--weights", "lit or modulation", weights)
     if not np.isfinite(y_step_um) or not np.isfinite(stage_um):
         raise InputError("stage", "finite lengths (um)", f"{y_step_um}, {stage_um}")
-    loaded = load_scene(scene, preview=preview)
+    loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
     if divisor is not None:
         loaded = loaded.coarser(divisor, loaded.samples)
     if spp is not None:

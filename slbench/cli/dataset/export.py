@@ -9,7 +9,15 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import DatasetName, Json, Seed, check_folder, print_json, progress
+from slbench.cli.common import (
+    AllowModules,
+    DatasetName,
+    Json,
+    Seed,
+    check_folder,
+    print_json,
+    progress,
+)
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -43,6 +51,7 @@ def export(
         ),
     ] = None,
     seed: Seed = 0,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Write a data set, or a part of it, as pictures, HDF5 or BOP."""
@@ -61,7 +70,7 @@ def export(
     if not fractions:
         check_target(form, out)
     check_folder(out.parent)
-    data = datasets.open(dataset)
+    data = datasets.open(dataset, allow_modules=allow_modules)
     if where is not None:
         data = data.where(where)
     if patterns is not None and len(data):

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, Preview, Seed, print_json, progress
+from slbench.cli.common import AllowModules, Json, Preview, Seed, print_json, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -39,6 +39,7 @@ def make(
         bool, typer.Option("--resume", help="Finish what an earlier run left there.")
     ] = False,
     seed: Seed = 0,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Make a data set: draw scenes, scan them, pack them in shards."""
@@ -59,7 +60,7 @@ def make(
     if in_processes and any(part.startswith("memory:") for part in out.split("::")):
         expected = "a place that other processes reach too, or --workers 0"
         raise InputError("--out", expected, f"{out}, which each process has of its own")
-    specification, files = load(spec)
+    specification, files = load(spec, allow_modules=allow_modules)
     # Ahead of the cluster, which takes seconds to start.
     check_request(specification, files, out, seed=seed, preview=preview, resume=resume)
     opened = (

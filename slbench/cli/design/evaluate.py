@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, print_json, print_table
+from slbench.cli.common import AllowModules, Json, print_json, print_table
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
 
@@ -19,6 +19,7 @@ def evaluate(
     full: Annotated[
         bool, typer.Option("--full", help="Every camera pixel instead of the thesis's sample.")
     ] = False,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Predict error, coverage and constraints of rig configurations."""
@@ -29,7 +30,11 @@ def evaluate(
     from slbench.design.rig.hardware import load_hardware, read_configurations
 
     rows = read_configurations(configurations)
-    result = run(load_hardware(hardware), rows, stride=(1, 1) if full else THESIS_STRIDE)
+    result = run(
+        load_hardware(hardware, allow_modules=allow_modules),
+        rows,
+        stride=(1, 1) if full else THESIS_STRIDE,
+    )
     if as_json:
         print_json(result.rows())
         return

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from slbench.cli.common import (
+    AllowModules,
     Json,
     Preview,
     SceneName,
@@ -31,6 +32,7 @@ def noise(
     repeats: Annotated[int, typer.Option(min=2, help="Captures of each height.")] = 20,
     seed: Seed = 0,
     preview: Preview = False,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Measure phase noise by fringes and height, as thesis fig. 25."""
@@ -43,7 +45,7 @@ def noise(
     from slbench.scene.file import load_scene
 
     check_folder(out)
-    loaded = load_scene(scene, preview=preview)
+    loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
     counts = candidates(
         loaded.rig.projector.width, max_fringes=max_fringes, min_px_per_fringe=min_px_per_fringe
     )

@@ -8,14 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slbench.cli.common import (
-    Json,
-    Preview,
-    Seed,
-    print_json,
-    print_table,
-    progress,
-)
+from slbench.cli.common import AllowModules, Json, Preview, Seed, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -99,6 +92,7 @@ def patterns(
     plot: Annotated[Path | None, typer.Option(help="Figure to write (.png, .pdf, .svg).")] = None,
     seed: Seed = 0,
     preview: Preview = False,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Design the fringe sets that the phase noise of a system needs."""
@@ -133,8 +127,10 @@ def patterns(
         raise InputError("--axis", "u or v", axis)
     if plot is not None:
         check_figure(plot)
-    loaded = None if scene is None else load_scene(scene, preview=preview)
-    shots = [Capture.load(folder) for folder in capture or ()]
+    loaded = (
+        None if scene is None else load_scene(scene, preview=preview, allow_modules=allow_modules)
+    )
+    shots = [Capture.load(folder, allow_modules=allow_modules) for folder in capture or ()]
     side = "uv".index(axis)
     widths = [loaded.rig.projector.width] if loaded else [s.sequence.panel[side] for s in shots[:1]]
     width = _width(width_px, widths)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from slbench.cli.common import Json, Seed, check_folder, print_json, progress
+from slbench.cli.common import AllowModules, Json, Seed, check_folder, print_json, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
 
@@ -38,6 +38,7 @@ def rig(
         int | None, typer.Option(min=0, help="Cluster for the scene, not the recommended one.")
     ] = None,
     seed: Seed = 0,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Search for the best rigs of given hardware.
@@ -60,7 +61,7 @@ def rig(
     from slbench.scene.file import read_merged
 
     check_folder(out)
-    loaded = load_hardware(hardware)
+    loaded = load_hardware(hardware, allow_modules=allow_modules)
     path = resources.find("scenes", hardware)
     begin: Any = None
     if start is not None:
@@ -88,7 +89,9 @@ def rig(
         "max_footprint_mm": max_footprint_mm,
         "min_angle_deg": min_angle_deg,
     }
-    write_design(design, out, read_merged(path), parameters, seed, pick=pick, marked=marked)
+    write_design(
+        design, out, read_merged(path, allow_modules), parameters, seed, pick=pick, marked=marked
+    )
     member = design.member(pick)
     best = design.evaluation.rows()[member]
     variables = np.append(design.front.x[member, :4], np.rad2deg(design.front.x[member, 4:]))

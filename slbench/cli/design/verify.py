@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, Seed, check_folder, print_json, progress
+from slbench.cli.common import AllowModules, Json, Seed, check_folder, print_json, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
 
@@ -23,6 +23,7 @@ def verify(
     patterns: Annotated[str, typer.Option(help="Fringes of three shifts.")] = "1,5",
     spp: Annotated[int, typer.Option(min=1, max=65536, help="Samples a pixel.")] = 16,
     seed: Seed = 0,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Scan a plate with rigs; compare errors with predicted ones."""
@@ -35,7 +36,7 @@ def verify(
     from slbench.design.rig.verify import verify as run
 
     check_folder(out)
-    loaded = load_hardware(hardware)
+    loaded = load_hardware(hardware, allow_modules=allow_modules)
     if configurations is None:
         rows = feasible_sample(loaded, count, seed)
     else:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import SceneName
+from slbench.cli.common import AllowModules, SceneName
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -21,6 +21,7 @@ def export(
     pinhole: Annotated[
         bool, typer.Option(help="Replace the projector's lens by a pinhole without fall-off.")
     ] = False,
+    allow_modules: AllowModules = False,
 ) -> None:
     """Write a scene as Mitsuba XML, if stock plugins can express it."""
     import numpy as np
@@ -31,7 +32,7 @@ def export(
 
     if path.suffix.lower() != ".xml":
         raise InputError("path", "a name that ends in .xml", path)
-    loaded = load_scene(scene)
+    loaded = load_scene(scene, allow_modules=allow_modules)
     if pinhole:
         projector = loaded.rig.projector
         lens = replace(projector.lens, aperture_radius_mm=0.0, natural_vignetting=False)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import SceneName
+from slbench.cli.common import AllowModules, SceneName
 from slbench.cli.lazy import command
 
 
@@ -15,12 +15,13 @@ from slbench.cli.lazy import command
 def show(
     scene: SceneName,
     out: Annotated[Path, typer.Option(help="The PNG to write.")],
+    allow_modules: AllowModules = False,
 ) -> None:
     """Draw a scene: the rig to scale, and the camera's view."""
     from slbench.report.plots.draw import scene_picture
     from slbench.scene.file import load_scene
     from slbench.simulate.render.trace import trace
 
-    loaded = load_scene(scene, preview=True)
+    loaded = load_scene(scene, preview=True, allow_modules=allow_modules)
     scene_picture(loaded, trace(loaded, ("u",)).white(), out)
     print(f"Written to {out}")

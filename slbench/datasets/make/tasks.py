@@ -158,6 +158,10 @@ def _plan(run: Run) -> tuple[Manifest, Specification, dict[str, bytes]]:
         raise InputError("worker", f"{found[0]} {found[1]}, as the data set is made with", found[2])
     specification = from_dict(manifest.specification, storage.where(MANIFEST))
     files = {name: storage.read(f"{FILES}/{name}") for name in sorted(specification.files())}
+    for name in specification.modules or ():  # code that is run is that which was allowed
+        if digest(files[name]) != manifest.files.get(name):
+            where = storage.where(f"{FILES}/{name}")
+            raise InputError(where, f"the module of SHA-256 {manifest.files.get(name)}", "another")
     return manifest, specification, files
 
 

@@ -48,6 +48,8 @@ class Dataset(Sequence[Sample]):
         Rows of the samples that could not be made, with their ``reason``.
     verify : bool
         Whether samples are checked against their SHA-256 as they are read.
+    allow_modules : bool
+        Whether the Python modules that samples name may be run.
     """
 
     manifest: Manifest
@@ -55,6 +57,7 @@ class Dataset(Sequence[Sample]):
     rows: tuple[Row, ...]
     failed: tuple[Row, ...] = ()
     verify: bool = True
+    allow_modules: bool = False
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -68,7 +71,8 @@ class Dataset(Sequence[Sample]):
     def __getitem__(self, key: int | slice) -> Sample | Dataset:
         if isinstance(key, slice):
             return self.select(range(len(self))[key])
-        return Sample(self.storage, self.rows[key], self.manifest.drawn, self.verify)
+        row = self.rows[key]
+        return Sample(self.storage, row, self.manifest.drawn, self.verify, self.allow_modules)
 
     def __iter__(self) -> Iterator[Sample]:
         return (self[k] for k in range(len(self)))
@@ -169,7 +173,7 @@ class Dataset(Sequence[Sample]):
                     future.cancel()
 
 
-def open_dataset(path: str | Path, *, verify: bool = True) -> Dataset:
+def open_dataset(path: str | Path, *, verify: bool = True, allow_modules: bool = False) -> Dataset:
     """Open a data set; nothing but its manifest and index is read.
 
     Parameters
@@ -178,6 +182,8 @@ def open_dataset(path: str | Path, *, verify: bool = True) -> Dataset:
         A folder, or a URL that fsspec can reach.
     verify : bool
         Whether each sample's bytes are checked against its SHA-256 when they are read.
+    allow_modules : bool
+        Run the Python modules that samples name: code of the data set's author.
 
     Returns
     -------
@@ -202,7 +208,7 @@ def open_dataset(path: str | Path, *, verify: bool = True) -> Dataset:
     for row in ready:
         _check_place(row, where)
     failed = tuple(row for row in rows if row["status"] != index.OK)
-    return Dataset(manifest, storage, ready, failed, verify)
+    return Dataset(manifest, storage, ready, failed, verify, allow_modules)
 
 
 def _check_place(row: Row, where: str) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,12 +49,15 @@ class Sample:
         The columns that hold what was drawn.
     verify : bool
         Whether its bytes are checked against the SHA-256 of the index.
+    allow_modules : bool
+        Whether the Python modules that it names may be run.
     """
 
     storage: Storage
     row: Row
     drawn: tuple[str, ...]
     verify: bool = True
+    allow_modules: bool = False
 
     @property
     def number(self) -> int:
@@ -113,7 +116,8 @@ class Sample:
     @cached_property
     def scene(self) -> Scene:
         """The scene with its objects, whose meshes are built or taken from the cache."""
-        return self._read(sample.SCENE, load_scene, beside=True)
+        load = partial(load_scene, allow_modules=self.allow_modules)
+        return self._read(sample.SCENE, load, beside=True)
 
     @cached_property
     def score(self) -> dict[str, Any]:
@@ -142,7 +146,8 @@ class Sample:
             known = ", ".join(self.captures) or "none (Sample.capture makes any)"
             raise InputError(f"{self.where}: capture", f"one that is stored: {known}", name)
         prefix = self.captures[0] if name is None else name
-        return self._read(f"{prefix}.{CAPTURE}", Capture.load, beside=True)
+        load = partial(Capture.load, allow_modules=self.allow_modules)
+        return self._read(f"{prefix}.{CAPTURE}", load, beside=True)
 
     @cached_property
     def frames(self) -> NDArray[Any]:
@@ -216,9 +221,10 @@ class Sample:
     @cached_property
     def _settings(self) -> Scene:
         """The scene without its objects: all that an exposure from transport needs."""
-        kept = {sample.SCENE: self.member(sample.SCENE), sample.RIG: self.member(sample.RIG)}
+        modules = [name for name in self.members if name.startswith(f"{sample.MODULE}.")]
+        kept = {name: self.member(name) for name in (sample.SCENE, sample.RIG, *modules)}
         with self._blamed(sample.SCENE), sample.unpacked(kept) as folder:
-            return load_settings(folder / sample.SCENE)
+            return load_settings(folder / sample.SCENE, allow_modules=self.allow_modules)
 
     @cached_property
     def _light(self) -> tuple[float, float]:

@@ -14,7 +14,9 @@ from typing import Any
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
+from slbench.core.modules import module_content
 from slbench.core.validation import shown
+from slbench.datasets.store.sample import MODULE
 from slbench.objects.registry import artefacts
 
 
@@ -85,13 +87,22 @@ def _file_parameters(table: Mapping[str, Any]) -> list[str]:
 
 def _taken_in(path: Path, name: Any, where: str, files: dict[str, bytes]) -> str:
     """Take a mesh file in and return its name in the data set."""
-    content = content_of(path, name, where)
+    return _named("mesh", name, content_of(path, name, where), files)
+
+
+def embedded_module(module: Mapping[str, str], files: dict[str, bytes]) -> str:
+    """Take a module that was run in, and return its name in the data set."""
+    return _named(MODULE, module["path"], module_content(module["sha256"]), files)
+
+
+def _named(kind: str, name: str, content: bytes, files: dict[str, bytes]) -> str:
+    """Put a file among those of the data set, equal content once, and return its name there."""
     stem = re.sub(r"[^A-Za-z0-9_-]", "-", Path(name).stem)[:40]
     suffix = Path(name).suffix.lower()
-    flat, k = f"mesh.{stem}{suffix}", 1
+    flat, k = f"{kind}.{stem}{suffix}", 1
     while files.get(flat, content) != content:
         k += 1
-        flat = f"mesh.{stem}-{k}{suffix}"
+        flat = f"{kind}.{stem}-{k}{suffix}"
     files[flat] = content
     return flat
 

@@ -108,6 +108,8 @@ def draw(
         values[label] = distribution.draw(stream(seed, sample, number, label))
         put(table, place, values[label])
     table["name"] = f"{specification.name}-{key(sample)}"
+    if specification.modules:
+        table["modules"] = list(specification.modules)
     return Draw(name, values, table)
 
 
@@ -135,6 +137,8 @@ def _coarsen(table: dict[str, Any], width: int, settings: Mapping[str, Any]) -> 
 def place_scene(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool) -> Scene:
     """Write a draw's scene to a folder, with the files that it names, and load it.
 
+    Its modules are run: the person who loaded the specification allowed them.
+
     Parameters
     ----------
     drawn : Draw
@@ -161,17 +165,18 @@ def place_scene(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: 
 def _placed(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool) -> Scene:
     wanted = {name for table in drawn.table["objects"] for name in file_names(table)}
     from_file = "file" in drawn.table["rig"]
-    for name in (*sorted(wanted), *([RIG] if from_file else [])):
+    modules = drawn.table.get("modules", ())
+    for name in (*sorted(wanted), *modules, *([RIG] if from_file else [])):
         (folder / name).write_bytes(files[name])
     table, divisor = plain(drawn.table), 1
     if preview:
         # All but the objects, which cost most, is checked before it is reckoned with.
         write_toml(folder / SCENE, table)
-        width = load_settings(folder / SCENE).rig.camera.width
+        width = load_settings(folder / SCENE, allow_modules=True).rig.camera.width
         divisor = _coarsen(table, width, table.get("preview", {}))
     table.pop("preview", None)
     write_toml(folder / SCENE, table)
-    scene = load_scene(folder / SCENE)
+    scene = load_scene(folder / SCENE, allow_modules=True)
     if from_file and preview:
         scene = scene.coarser(divisor, scene.samples)
     write_rig(folder / RIG, scene.rig)

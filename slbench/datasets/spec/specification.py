@@ -30,6 +30,9 @@ which one is drawn, the patterns whose frames are rendered, and what a draw must
     inside_volume = true
     min_lit_share = 0.05
 
+``modules = ["my_parts.py"]`` at its top names Python files beside it that add to the registries
+(:mod:`slbench.core.modules`).
+
 :func:`load` resolves everything that stands in other files, so that what a data set keeps
 (in ``dataset.json``, and meshes in ``files/``) is complete.
 """
@@ -45,6 +48,7 @@ from pydantic import Field, model_validator
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import plain, read_toml
+from slbench.core.modules import load_modules
 from slbench.core.validation import Parameters, shown, validated
 from slbench.datasets.spec.distributions import (
     Distribution,
@@ -56,7 +60,7 @@ from slbench.datasets.spec.distributions import (
     written,
 )
 from slbench.datasets.spec.distributions import Path as Place
-from slbench.datasets.spec.embedded import content_of, embedded, file_names
+from slbench.datasets.spec.embedded import content_of, embedded, embedded_module, file_names
 from slbench.datasets.store.index import columns
 from slbench.datasets.store.sample import EXACT_BITS, RIG, capture_prefix
 from slbench.objects.registry import artefacts
@@ -117,6 +121,9 @@ class Specification(Parameters):
     weight_bits : int
         Bits of mantissa that the transport's weights keep; 23 are all.
     samples_per_shard : int
+    modules : tuple of str, optional
+        Python files beside the specification; resolved, their names among the files of the
+        data set, those of scenes that are extended included.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=60)]
@@ -129,6 +136,7 @@ class Specification(Parameters):
     marginals: tuple[Literal["u", "v", "uv"], ...] | None = None
     weight_bits: Annotated[int, Field(ge=1, le=EXACT_BITS)] = EXACT_BITS
     samples_per_shard: Count = 64
+    modules: tuple[str, ...] | None = None
 
     @model_validator(mode="after")
     def _distinct(self) -> Specification:
@@ -191,25 +199,31 @@ class Specification(Parameters):
     def files(self) -> set[str]:
         """Return the names of the files that the resolved specification refers to."""
         names = {RIG} if self.scene.get("rig", {}).get("file") else set()
+        names.update(self.modules or ())
         for table in (*self.objects, *self.scene.get("objects", ())):
             names.update(file_names(table))
         return names
 
 
-def load(name_or_path: str | Path) -> tuple[Specification, dict[str, bytes]]:
+def load(
+    name_or_path: str | Path, *, allow_modules: bool = False
+) -> tuple[Specification, dict[str, bytes]]:
     """Load a specification and everything that it refers to.
 
     Parameters
     ----------
     name_or_path : str or Path
         A file, or the name of a shipped one such as ``"mixed"``.
+    allow_modules : bool
+        Run the Python modules that it and its scenes name, here and in the workers that make
+        the data set: code of their authors.
 
     Returns
     -------
     specification : Specification
         Complete: no ``extends``, no file but those of the second value.
     files : dict of str to bytes
-        Meshes, and the rig where the scene reads one.
+        Meshes, modules, and the rig where the scene reads one.
 
     Raises
     ------
@@ -224,9 +238,12 @@ def load(name_or_path: str | Path) -> tuple[Specification, dict[str, bytes]]:
     read = validated(Specification, content, path.name, separator=": ")
     files: dict[str, bytes] = {}
     own = plain(read.scene)
-    scene = extended(own, path)
+    ran = load_modules(read.modules or (), path.parent, allow_modules, f"{path.name}: modules")
+    scene = extended(own, path, allow_modules)
     if "extends" in own:
-        _with_bases(scene, extended({"extends": own["extends"]}, path), f"{path.name}: scene")
+        base = extended({"extends": own["extends"]}, path, allow_modules)
+        _with_bases(scene, base, f"{path.name}: scene")
+    modules = [embedded_module(module, files) for module in (*scene.pop("modules", ()), *ran)]
     if "focus" in scene:
         expected = "no focus settings (a sample has one light transport)"
         raise InputError(f"{path.name}: scene.focus", expected, "some")
@@ -247,6 +264,7 @@ def load(name_or_path: str | Path) -> tuple[Specification, dict[str, bytes]]:
     if len(set(names)) != len(names):
         raise InputError(f"{path.name}: objects", "a name of its own for each", names)
     values = read.model_dump() | {"scene": scene, "objects": objects}
+    values["modules"] = list(dict.fromkeys(modules)) or None
     resolved = validated(Specification, values, path.name, separator=": ")
     if not objects and not scene.get("objects"):
         raise InputError(f"{path.name}: objects", "one object at least", "none")

@@ -1,7 +1,7 @@
 """What one sample holds: the files that a scan leaves, as named members.
 
 ``scene.toml``
-    The complete scene; a mesh that it names stands beside it.
+    The complete scene; meshes and modules that it names stand beside it.
 ``rig.yaml``, ``transport.npz``, ``truth.exr``
     As :func:`slbench.simulate.folder.write_scan` writes them; the transport is deflated.
 ``score.json``
@@ -41,6 +41,8 @@ TRANSPORT = "transport.npz"
 TRUTH = "truth.exr"
 SCORE = "score.json"
 PROVENANCE = "provenance.json"
+#: What the names of modules start with.
+MODULE = "module"
 #: What every sample has.
 REQUIRED = (SCENE, RIG, TRANSPORT, TRUTH, SCORE, PROVENANCE)
 

@@ -312,6 +312,7 @@ class _HardwareFile(Parameters):
     # What else a scene may hold: it is no concern of the design.
     name: Any = None
     description: Any = None
+    modules: Any = None
     objects: Any = None
     materials: Any = None
     light: Any = None
@@ -321,7 +322,7 @@ class _HardwareFile(Parameters):
     preview: Any = None
 
 
-def load_hardware(name_or_path: str | Path) -> Hardware:
+def load_hardware(name_or_path: str | Path, *, allow_modules: bool = False) -> Hardware:
     """Load hardware from a TOML file.
 
     Parameters
@@ -340,7 +341,7 @@ def load_hardware(name_or_path: str | Path) -> Hardware:
         Naming the file and key of the first thing that cannot be used.
     """
     path = resources.find("scenes", name_or_path)
-    content = read_merged(path)
+    content = read_merged(path, allow_modules)
     if "design" not in content:
         raise InputError(f"{path.name}: design", "a table of working distances and ranges", "none")
     file = validated(_HardwareFile, content, path.name, separator=": ")
