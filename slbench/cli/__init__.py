@@ -10,6 +10,7 @@ A command is a file, a group of them a folder; each is imported when it is run. 
 
 from __future__ import annotations
 
+import re
 import sys
 import traceback
 from typing import Annotated
@@ -19,6 +20,7 @@ import typer
 from slbench import __version__
 from slbench.cli.lazy import Group, command
 from slbench.core.errors import InputError
+from slbench.core.registry import quoted
 
 BAD_INPUT, FAULT, INTERRUPTED = 2, 70, 130
 
@@ -99,12 +101,31 @@ def main() -> None:
     sys.exit(status if isinstance(status, int) else 0)
 
 
+def _usage(error: Exception) -> str:
+    """Return a wrong option or argument in the words of all other refusals.
+
+    Typer checks values by pydantic from 0.29 on, whose error says what was expected and found.
+    """
+    parameter = getattr(error, "param", None)
+    errors = getattr(error.__cause__, "errors", None)
+    if parameter is None or errors is None:
+        return error.format_message()  # type: ignore[attr-defined, no-any-return]
+    first = errors()[0]
+    expected = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    got = repr(first["input"])
+    listed = re.fullmatch(r".+ is not one of (.+)\.", expected)
+    if listed:
+        choices = [choice.strip("'") for choice in listed[1].split(", ")]
+        expected, got = " or ".join(choices), quoted(first["input"], choices)
+    return str(InputError(max(parameter.opts, key=len), expected, got))
+
+
 def _explained(error: Exception) -> tuple[int, str]:
     """Return the exit status of an error, and what the user reads."""
     if isinstance(error, InputError):
         return BAD_INPUT, str(error)
     if isinstance(error, _UsageError):
-        return BAD_INPUT, error.format_message()  # type: ignore[attr-defined]
+        return BAD_INPUT, _usage(error)
     if isinstance(error, MemoryError):
         return BAD_INPUT, f"memory: expected enough for this scene, got {error}"
     if isinstance(error, OSError):  # a full disk, a folder without permission

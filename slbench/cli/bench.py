@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from slbench.cli.common import Json, Seed, check_folder, print_json, print_table, progress
 from slbench.cli.lazy import command
-from slbench.core.errors import InputError
 from slbench.core.registry import resolved
 
 if TYPE_CHECKING:
@@ -26,7 +25,9 @@ CHAPTERS = ("ch6", "ch7", "ch8")
 
 @command("slbench bench ch7 --preview --out out/bench --report out/bench/ch7.html")
 def bench(
-    chapter: Annotated[str, typer.Argument(help="Chapter of the thesis: ch6, ch7, ch8 or all.")],
+    chapter: Annotated[
+        Literal["ch6", "ch7", "ch8", "all"], typer.Argument(help="Chapter of the thesis.")
+    ],
     out: Annotated[
         Path, typer.Option(help="Folder to write to; each chapter gets one of its own in it.")
     ] = Path("out/bench"),
@@ -45,8 +46,6 @@ def bench(
     """Re-run the experiments of the thesis; judge its findings."""
     from slbench.thesis.outcome import write_outcome
 
-    if chapter not in (*CHAPTERS, "all"):
-        raise InputError("chapter", f"one of {', '.join(CHAPTERS)}, all", chapter)
     chosen = CHAPTERS if chapter == "all" else (chapter,)
     for name in chosen:
         check_folder(out / name)

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -17,6 +17,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instea
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random draw.")]
 DatasetName = Annotated[str, typer.Argument(help="A data set: a folder or a URL.")]
 SceneName = Annotated[str, typer.Argument(help="A scene file, or the name of a shipped scene.")]
+Weights = Annotated[
+    Literal["lit", "modulation"],
+    typer.Option(help="Focus stacks: sharp by lit frames' texture, or by modulation."),
+]
 Preview = Annotated[
     bool, typer.Option("--preview", help="Fewer camera pixels and samples: seconds.")
 ]

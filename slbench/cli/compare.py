@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -13,13 +13,13 @@ from slbench.cli.common import (
     Preview,
     SceneName,
     Seed,
+    Weights,
     check_folder,
     print_json,
     print_table,
     progress,
 )
 from slbench.cli.lazy import command
-from slbench.core.errors import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -36,12 +36,10 @@ def compare(
     ],
     repeats: Annotated[int, typer.Option(min=2, max=10_000, help="Scans of each set.")] = 15,
     equal: Annotated[
-        str | None,
-        typer.Option(help="Give all sets as many frames, or as much light: frames or photons."),
+        Literal["frames", "photons"] | None,
+        typer.Option(help="Give all sets as many frames, or as much light."),
     ] = None,
-    weights: Annotated[
-        str, typer.Option(help="Focus stacks: sharp by lit frames' texture, or by modulation.")
-    ] = "lit",
+    weights: Weights = "lit",
     out: Annotated[
         Path | None, typer.Option(help="Folder to write to.  [default: out/compare-NAME]")
     ] = None,
@@ -60,16 +58,12 @@ def compare(
     from slbench.report.pages.compare import comparison_page, verdict, write_comparison
     from slbench.scene.file import load_scene
 
-    if equal not in (None, "frames", "photons"):
-        raise InputError("--equal", "frames or photons", equal)
-    if weights not in ("lit", "modulation"):
-        raise InputError("--weights", "lit or modulation", weights)
     if report is not None:
         from slbench.report.page import check_page_path, write_page
 
         check_page_path(report, "--report")
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
-    pattern_sets(sets, loaded, shifts=own_shifts(loaded), equal=equal)  # type: ignore[arg-type]
+    pattern_sets(sets, loaded, shifts=own_shifts(loaded), equal=equal)
     folder = out or Path("out") / f"compare-{loaded.name}"
     check_folder(folder)
     with progress(as_json) as bar:
@@ -77,9 +71,9 @@ def compare(
             loaded,
             sets,
             repeats=repeats,
-            equal=equal,  # type: ignore[arg-type]
+            equal=equal,
             seed=seed,
-            weights=weights,  # type: ignore[arg-type]
+            weights=weights,
             on_progress=bar,
         )
         write_comparison(result, folder)

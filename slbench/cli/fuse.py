@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -15,8 +15,9 @@ from slbench.core.errors import InputError
 if TYPE_CHECKING:
     from rich.table import Table
 
-METHODS = ("saf", "maximum", "pyramid")
-ALIGNMENTS = ("none", "translation", "affine", "homography")
+Method = Literal["saf", "maximum", "pyramid", "modulation"]
+Alignment = Literal["none", "translation", "affine", "homography"]
+Variant = Literal["corrected", "published"]
 
 
 @command("slbench fuse photographs --out fused.png --align affine")
@@ -31,16 +32,19 @@ def fuse(
         Path, typer.Option(help="Image to write (.png); of a stack: folder of the fused capture.")
     ],
     method: Annotated[
-        str, typer.Option(help="saf, maximum, pyramid; stacks: modulation too.")
+        Method,
+        typer.Option(help="Of fusion; modulation is for stacks of captures."),
     ] = "saf",
     measure: Annotated[
         str, typer.Option(help="Measure of focus: variance, gradient or laplacian.")
     ] = "variance",
     align: Annotated[
-        str, typer.Option(help="Align first: none, translation, affine or homography.")
+        Alignment,
+        typer.Option(help="Motion to undo between the frames first."),
     ] = "none",
     variant: Annotated[
-        str, typer.Option(help="saf: corrected, or published (as the authors' program).")
+        Variant,
+        typer.Option(help="saf: corrected, or published (as the authors' program)."),
     ] = "corrected",
     window: Annotated[int, typer.Option(help="Window of the measure, pixels, odd.")] = 9,
     allow_modules: AllowModules = False,
@@ -57,13 +61,16 @@ def fuse(
     import numpy as np
 
     from slbench.capture.fusion import Photographs
+    from slbench.capture.fusion.measures import check_measure
     from slbench.capture.stack import MANIFEST
     from slbench.core.io import atomic_folder, write_exr, write_png
 
     if (folder / MANIFEST).exists():
         _fuse_stack(folder, out, method, measure, align, variant, window, allow_modules, as_json)
         return
-    _check_choices(method, align, measure, variant, window)
+    if method == "modulation":
+        raise InputError("--method", "saf, maximum or pyramid, as these are photographs", method)
+    check_measure(measure, window)
     _check_out(out, folder)
     photographs = Photographs.open(folder)
     begin = time.perf_counter()
@@ -100,10 +107,10 @@ def fuse(
 def _fuse_stack(
     folder: Path,
     out: Path,
-    method: str,
+    method: Method,
     measure: str,
-    align: str,
-    variant: str,
+    align: Alignment,
+    variant: Variant,
     window: int,
     allow_modules: bool,
     as_json: bool,
@@ -112,11 +119,12 @@ def _fuse_stack(
     import numpy as np
 
     from slbench.capture import fusion
+    from slbench.capture.fusion.measures import check_measure
     from slbench.capture.stack import FocusStack, modulation_weights
     from slbench.core.io import atomic_folder, write_exr
 
     if method != "modulation":
-        _check_choices(method, align, measure, variant, window)
+        check_measure(measure, window)
     elif align != "none":
         raise InputError("--align", "none, as modulation has no lit frames to align", align)
     check_folder(out)
@@ -131,7 +139,7 @@ def _fuse_stack(
         else:
             lit: Any = stack.lit()
             if align != "none":
-                alignment = fusion.align(lit, motion=align)  # type: ignore[arg-type]
+                alignment = fusion.align(lit, motion=align)
                 lit = alignment.apply(lit)
             weights = _weights(lit, method, measure, variant, window, None)
         capture = stack.fuse_with(weights, alignment).capture
@@ -161,20 +169,6 @@ def _fuse_stack(
         print(f"{key}: {value:.2f}" if isinstance(value, float) else f"{key}: {value}")
 
 
-def _check_choices(method: str, align: str, measure: str, variant: str, window: int) -> None:
-    """Refuse what there is not before frames are aligned, which takes long."""
-    from slbench.capture.fusion.measures import check_measure
-    from slbench.capture.fusion.selective import VARIANTS
-
-    if method not in METHODS:
-        raise InputError("--method", f"one of {', '.join(METHODS)}", method)
-    if align not in ALIGNMENTS:
-        raise InputError("--align", f"one of {', '.join(ALIGNMENTS)}", align)
-    check_measure(measure, window)
-    if variant not in VARIANTS:
-        raise InputError("variant", f"one of {', '.join(VARIANTS)}", variant)
-
-
 def _check_out(out: Path, folder: Path) -> None:
     """Refuse an image that cannot be written, or that would be fused the next time."""
     if out.suffix.lower() != ".png":
@@ -189,10 +183,10 @@ def _check_out(out: Path, folder: Path) -> None:
 def _fused(
     grey: Any,
     stack: Any,
-    method: str,
+    method: Method,
     measure: str,
-    align: str,
-    variant: str,
+    align: Alignment,
+    variant: Variant,
     window: int,
     report: Any,
 ) -> tuple[Any, dict[str, Any], dict[str, Any]]:
@@ -206,7 +200,7 @@ def _fused(
 
     summary: dict[str, Any] = {}
     if align != "none":
-        alignment = fusion.align(grey, motion=align)  # type: ignore[arg-type]
+        alignment = fusion.align(grey, motion=align)
         grey, stack = alignment.apply(grey), alignment.apply(stack)
         summary["reference"] = alignment.reference
         summary["least_correlation"] = float(alignment.correlation.min())
@@ -227,7 +221,9 @@ def _fused(
     return weights.fuse(stack), maps, summary
 
 
-def _weights(grey: Any, method: str, measure: str, variant: str, window: int, report: Any) -> Any:
+def _weights(
+    grey: Any, method: Method, measure: str, variant: Variant, window: int, report: Any
+) -> Any:
     """Return what fuses stacks like `grey` by one of the methods."""
     from slbench.capture import fusion
 
@@ -236,7 +232,7 @@ def _weights(grey: Any, method: str, measure: str, variant: str, window: int, re
     options: dict[str, Any] = {"measure": measure, "window": window, "on_progress": report}
     if method == "maximum":
         return fusion.maximum_weights(grey, **options)
-    return fusion.selective_weights(grey, variant=variant, **options)  # type: ignore[arg-type]
+    return fusion.selective_weights(grey, variant=variant, **options)
 
 
 def _table(result: dict[str, Any]) -> Table:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -13,6 +13,7 @@ from slbench.cli.common import (
     Preview,
     SceneName,
     Seed,
+    Weights,
     check_folder,
     print_json,
     print_table,
@@ -38,7 +39,7 @@ def scan(
     steps: Annotated[
         int | None, typer.Option(min=3, help="Phase shifts of each fringe set.")
     ] = None,
-    axes: Annotated[str | None, typer.Option(help="Coded panel axes: u, v or uv.")] = None,
+    axes: Annotated[Literal["u", "v", "uv"] | None, typer.Option(help="Coded panel axes.")] = None,
     spp: Annotated[
         int | None, typer.Option(min=1, max=65536, help="Monte Carlo samples a pixel.")
     ] = None,
@@ -46,9 +47,7 @@ def scan(
     noise: Annotated[
         bool, typer.Option("--noise/--no-noise", help="Detector noise; rounding stays.")
     ] = True,
-    weights: Annotated[
-        str, typer.Option(help="Focus stacks: sharp by lit frames' texture, or by modulation.")
-    ] = "lit",
+    weights: Weights = "lit",
     page: Annotated[
         Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
     ] = None,
@@ -73,8 +72,6 @@ def scan(
         loaded = loaded.with_patterns(
             text, steps or given["shifts"], given["axes"] if axes is None else axes
         )
-    if weights not in ("lit", "modulation"):
-        raise InputError("--weights", "lit or modulation", weights)
     folder = out or Path("out") / loaded.name
     check_folder(folder)
     if page is not None:
@@ -85,7 +82,7 @@ def scan(
             seed=seed,
             noise=noise,
             samples=spp,
-            weights=weights,  # type: ignore[arg-type]
+            weights=weights,
             on_progress=report,
         )
         write_scan(result, folder)

@@ -12,7 +12,6 @@ from scenes_small import run_cli, write_scene
 
 from slbench import __version__
 from slbench.capture.capture import Capture
-from slbench.cli import app
 from slbench.core import resources
 from slbench.core.io import read_exr, read_json, read_ply, read_toml, write_png, write_toml
 from slbench.rig.opencv import read_rig
@@ -348,54 +347,7 @@ def test_scenes_are_listed_with_what_they_are():
     assert all(len(line.split()) > 3 for line in lines)
 
 
-def test_version():
-    assert ok("--version").out.strip() == __version__
-
-
-def commands(group, path=()):
-    for name, command in group.commands.items():
-        if hasattr(command, "commands"):
-            yield from commands(command, (*path, name))
-        else:
-            yield (*path, name)
-
-
-ALL_COMMANDS = list(commands(app))
-
-
-def test_the_commands_are_there():
-    assert {("scan",), ("decode",), ("export",), ("doctor",), ("scene", "list")} <= set(
-        ALL_COMMANDS
-    )
-
-
-@pytest.mark.parametrize("command", ALL_COMMANDS, ids=" ".join)
-def test_every_help_has_an_example(command):
-    text = ok(*command, "--help").out
-    assert "Usage:" in text
-    example = text.partition("Example: ")[2].split()
-    assert example[: 1 + len(command)] == ["slbench", *command]
-
-
-def test_help_without_arguments():
-    outcome = run_cli()
-    assert "Usage:" in outcome.out + outcome.err
-    assert "scan" in outcome.out + outcome.err
-    assert "Usage:" in ok("--help").out
-
-
 def test_doctor():
     outcome = run_cli("doctor", "--json")
     assert outcome.status == 0
     assert isinstance(json.loads(outcome.out), dict)
-
-
-def test_the_module_runs(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-m", "slbench.cli", "--version"],
-        capture_output=True,
-        text=True,
-        check=False,
-        cwd=tmp_path,
-    )
-    assert (done.returncode, done.stdout.strip()) == (0, __version__)

@@ -196,7 +196,7 @@ def test_a_scene_is_measured_designed_for_and_scanned(tmp_path):
         ((*MACRO, "--safety", 1), ("safety", "1.0")),
         ((*MACRO, "--noise-step", 1), ("noise step", "1.0")),
         ((*MACRO, "--noise-step", "nan"), ("noise step", "nan")),
-        ((*MACRO, "--phase-model", "ideal"), ("phase model", "ideal")),
+        ((*MACRO, "--phase-model", "ideal"), ("--phase-model", "exact or thesis", "ideal")),
         ((*MACRO, "--method", "guess"), ("method", "guess")),
         ((*MACRO, "--criterion", "best"), ("--criterion", "best")),
         ((*BOUNDED, "--safety", 0.5), ("safety", "0.5")),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -18,7 +18,7 @@ def fit(
         typer.Argument(help="CSV: u_c,v_c,u_p,v_p,x_mm,y_mm,z_mm; with axes u, v_p may be nan."),
     ],
     out: Annotated[Path, typer.Option(help="Model to write (.json).")] = Path("model.json"),
-    axes: Annotated[str, typer.Option(help="Panel axes that the model uses: u or uv.")] = "u",
+    axes: Annotated[Literal["u", "uv"], typer.Option(help="Panel axes that the model uses.")] = "u",
     models: Annotated[
         str, typer.Option(help="Candidates: M1 linear, M2 interactions, M3 quadratic, M4 cubic.")
     ] = "M1,M2,M3,M4",
@@ -51,7 +51,7 @@ def fit(
     data = CalibrationPoints.read(points)
     selection = select_models(
         data,
-        axes=axes,  # type: ignore[arg-type]
+        axes=axes,
         forms=[name.strip() for name in models.split(",")],
         multivariate=multivariate,
         validation=validation,

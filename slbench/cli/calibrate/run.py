@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -14,6 +14,7 @@ from slbench.cli.common import (
     Preview,
     SceneName,
     Seed,
+    Weights,
     check_folder,
     print_json,
     progress,
@@ -41,11 +42,10 @@ def run(
         float, typer.Option(min=0.0, help="Standard deviation of the stage's position.")
     ] = 0.0,
     remapping: Annotated[
-        str, typer.Option(help="Phase of a dot: ring around it, or bilinear at its centre.")
+        Literal["ring", "bilinear"],
+        typer.Option(help="Phase of a dot: from a ring around it, or bilinear at its centre."),
     ] = "ring",
-    weights: Annotated[
-        str, typer.Option(help="Focus stacks: sharp by lit frames' texture, or by modulation.")
-    ] = "lit",
+    weights: Weights = "lit",
     divisor: Annotated[
         int | None, typer.Option(min=1, help="Camera pixels put together, to be quicker.")
     ] = None,
@@ -82,10 +82,6 @@ def run(
     check_folder(out)
     if page is not None:
         check_page_path(page)
-    if remapping not in ("ring", "bilinear"):
-        raise InputError("--remapping", "ring or bilinear", remapping)
-    if weights not in ("lit", "modulation"):
-        raise InputError("--weights", "lit or modulation", weights)
     if not np.isfinite(y_step_um) or not np.isfinite(stage_um):
         raise InputError("stage", "finite lengths (um)", f"{y_step_um}, {stage_um}")
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
@@ -100,8 +96,8 @@ def run(
             loaded,
             positions,
             stage_sigma_mm=1e-3 * stage_um,
-            remapping=remapping,  # type: ignore[arg-type]
-            weights=weights,  # type: ignore[arg-type]
+            remapping=remapping,
+            weights=weights,
             seed=seed,
             on_progress=report,
         )

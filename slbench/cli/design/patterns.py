@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -50,13 +50,21 @@ def patterns(
         list[Path] | None,
         typer.Option(help="Folder of one of several captures of a plane; give each."),
     ] = None,
-    axis: Annotated[str, typer.Option(help="capture: fringes along u or v.")] = "u",
-    estimator: Annotated[str, typer.Option(help="capture: per-pixel or pooled.")] = "per-pixel",
+    axis: Annotated[
+        Literal["u", "v"], typer.Option(help="capture: axis that the fringes code.")
+    ] = "u",
+    estimator: Annotated[
+        Literal["per-pixel", "pooled"],
+        typer.Option(help="capture: deviation of each pixel, or of all together."),
+    ] = "per-pixel",
     scene: Annotated[
         str | None,
         typer.Option(help="Scene whose rig's noise is simulated; the design is then scanned."),
     ] = None,
-    criterion: Annotated[str, typer.Option(help="thesis or bounded.")] = "thesis",
+    criterion: Annotated[
+        Literal["thesis", "bounded"],
+        typer.Option(help="The thesis's least error, or a bound on wrong fringe orders."),
+    ] = "thesis",
     safety: Annotated[
         float,
         typer.Option(help="Noise to be prepared for: the grid's extent (thesis), the bound's."),
@@ -65,9 +73,12 @@ def patterns(
         float | None, typer.Option(help="thesis: step of the grid, rad.  [default: 1/72 of it]")
     ] = None,
     phase_model: Annotated[
-        str, typer.Option(help="thesis: ideal phases, exact or as thesis eq. 27 and 28.")
+        Literal["exact", "thesis"],
+        typer.Option(help="thesis: ideal phases, exact or as thesis eq. 27 and 28."),
     ] = "exact",
-    method: Annotated[str, typer.Option(help="thesis: exact or monte-carlo.")] = "exact",
+    method: Annotated[
+        Literal["exact", "monte-carlo"], typer.Option(help="thesis: how errors are summed.")
+    ] = "exact",
     mc_repeats: Annotated[
         int, typer.Option(min=1, help="monte-carlo: captures of all pixels a noise level.")
     ] = 20,
@@ -119,12 +130,8 @@ def patterns(
     given = [name for name, value in sources.items() if value is not None]
     if len(given) != 1:
         raise InputError("noise", f"one of {', '.join(sources)}", " and ".join(given) or "none")
-    if criterion not in ("thesis", "bounded"):
-        raise InputError("--criterion", "thesis or bounded", criterion)
     chosen = [given[0], f"--criterion {criterion}"]
     _check_options(context, chosen + ([f"--method {method}"] if criterion == "thesis" else []))
-    if axis not in ("u", "v"):
-        raise InputError("--axis", "u or v", axis)
     if plot is not None:
         check_figure(plot)
     loaded = (
@@ -149,8 +156,8 @@ def patterns(
         else:
             noise = noise_of_captures(
                 shots,
-                axis,  # type: ignore[arg-type]
-                estimator=estimator,  # type: ignore[arg-type]
+                axis,
+                estimator=estimator,
                 names=[str(folder) for folder in capture or ()],
             )
         if write_noise is not None:
@@ -167,8 +174,8 @@ def patterns(
                 counts,
                 safety=safety,
                 noise_step=noise_step,
-                phase_model=phase_model,  # type: ignore[arg-type]
-                method=method,  # type: ignore[arg-type]
+                phase_model=phase_model,
+                method=method,
                 repeats=mc_repeats,
                 seed=seed,
                 on_progress=report,
@@ -271,7 +278,7 @@ def _predicted(text: str, width: int, noise: Any) -> Any:
     return predict(width, noise, [part.count for part in sets], [part.shifts for part in sets])
 
 
-def _load_compiled(criterion: str, method: str) -> None:
+def _load_compiled(criterion: str, method: Literal["exact", "monte-carlo"]) -> None:
     """Design a tiny case, so that loading compiled code is not in the time of the real one."""
     from slbench.design.fringes.bounded import bounded_sequence
     from slbench.design.fringes.design import thesis_sequence
@@ -280,8 +287,8 @@ def _load_compiled(criterion: str, method: str) -> None:
     tiny = PhaseNoise.constant(0.2, [1, 2, 4])
     if criterion == "bounded":
         bounded_sequence(20, tiny, [1, 2, 4])
-    elif method in ("exact", "monte-carlo"):
-        thesis_sequence(20, tiny, [1, 2, 4], method=method, repeats=1, noise_step=0.1)  # type: ignore[arg-type]
+    else:
+        thesis_sequence(20, tiny, [1, 2, 4], method=method, repeats=1, noise_step=0.1)
 
 
 def _print_trial(trial: Any) -> None:
