@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Gt, Interval, Le, Lt, MaxLen, MinLen
 
 __all__ = [
+    "FINITE",
     "Angle",
     "Aperture",
     "Axes",
@@ -33,6 +34,7 @@ __all__ = [
     "Length",
     "Lt",
     "MaxLen",
+    "Measure",
     "MinLen",
     "NotNegative",
     "Pair",
@@ -45,7 +47,9 @@ __all__ = [
     "Share",
     "Shifts",
     "Size",
+    "TiltDegrees",
     "Vector",
+    "Vibration",
     "Words",
 ]
 
@@ -73,6 +77,8 @@ FINITE = _FiniteMark()
 Finite = Annotated[float, FINITE]
 Positive = Annotated[float, FINITE, Gt(0.0)]
 NotNegative = Annotated[float, FINITE, Ge(0.0)]
+#: A positive quantity of the physical world, whatever its unit: beyond 18 decades, it is a slip.
+Measure = Annotated[float, FINITE, Interval(ge=1e-9, le=1e9)]
 #: A length, mm.  From a micrometre to ten metres: beyond, it is a slip of the unit.
 Length = Annotated[float, FINITE, Interval(ge=1e-3, le=1e4)]
 #: A coordinate in the world, mm or degrees.
@@ -93,6 +99,11 @@ Angle = Annotated[
 ]
 #: A numerical aperture in air.
 Aperture = Annotated[float, Interval(ge=0.0, lt=1.0), FINITE]
+
+#: A sensor's tilt in degrees.
+TiltDegrees = Annotated[float, FINITE, Interval(gt=-60.0, lt=60.0)]
+#: Standard deviation of a picture's shift from frame to frame, px.
+Vibration = Annotated[float, FINITE, Interval(ge=0.0, le=10.0)]
 
 #: A number of things.
 Count = Annotated[int, Ge(1)]

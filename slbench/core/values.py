@@ -1,10 +1,10 @@
 """Values and arguments checked by their annotated types, and by nothing else.
 
 Three doors, one mechanism (types in :mod:`slbench.core.types`, messages in
-:mod:`slbench.core.wording`): :class:`Value` for the package's immutable values,
-:func:`checked` for the arguments of public functions, and
-:func:`slbench.core.validation.validated` for the tables of files.  pydantic does the checking; it
-is imported when the first value is made, so that importing slbench costs nothing.
+:mod:`slbench.core.wording`): :class:`Value` for the package's immutable values, :func:`checked`
+for the arguments of public functions, and :func:`validated` for the tables of files.  pydantic
+does the checking; it is imported when the first value is made, so that importing slbench costs
+nothing.
 
 Strict: a number written as text, or true for 1, is a slip and refused.  NumPy's scalars become
 Python's and lists become tuples, which immutable values hold.  Making a value costs about 5
@@ -34,7 +34,8 @@ from typing import (
 
 import numpy as np
 
-from slbench.core.wording import first_error
+from slbench.core.errors import InputError
+from slbench.core.wording import described, first_error, shown
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -113,6 +114,42 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
+def validated(model: type[R], values: object, where: str, separator: str = ".") -> R:
+    """Check a table of parameters.
+
+    Parameters
+    ----------
+    model : type
+        What to check against: a model, or the class of the value that the table stands for.
+    values : object
+        What was read; a table where all is well.
+    where : str
+        Where it was read, e.g. ``"plane.toml: parameters"``.
+    separator : str
+        What stands between `where` and a key; ``": "`` after the name of a file.
+
+    Returns
+    -------
+    Model
+        The model's instance or the value, defaults included.
+
+    Raises
+    ------
+    InputError
+        If a key is unknown or missing, or a value is not acceptable; the first one only, a wrong
+        key before all others.
+    """
+    if not isinstance(values, Mapping):
+        raise InputError(where, described(model), shown(values))
+    values = _tuples(values)
+    checked_against: Any = model
+    adapter = _adapter(checked_against)
+    try:
+        return adapter.validate_python(values)
+    except ValueError as error:  # pydantic's, which is imported by now
+        raise first_error(error, model, values, where, separator) from None  # type: ignore[arg-type]
+
+
 def _validate(owner: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     values = {
         name: item if type(item) in _PLAIN else plain_scalars(item) for name, item in given.items()
@@ -124,6 +161,22 @@ def _validate(owner: Any, given: Mapping[str, Any]) -> dict[str, Any]:
         where = f"{_in_words(owner)}: " if isinstance(owner, type) else ""
         hint = types.SimpleNamespace(fields_of=lambda: _hints_of(owner))
         raise first_error(error, hint, values, where, "") from None  # type: ignore[arg-type]
+
+
+@functools.cache
+def _adapter(model: Any) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(model)
+
+
+def _tuples(value: Any) -> Any:
+    """Turn lists into tuples, which immutable models hold and strict ones insist on."""
+    if isinstance(value, Mapping):
+        return {key: _tuples(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(_tuples(item) for item in value)
+    return value
 
 
 def plain_scalars(value: Any) -> Any:
@@ -193,7 +246,7 @@ def _arguments(function: Callable[..., Any]) -> dict[str, Any]:
 def _says_what(hint: Any) -> bool:
     if get_origin(hint) in (Annotated, Literal):
         return True
-    return get_origin(hint) in (Union, types.UnionType, tuple) and any(
+    return get_origin(hint) in (Union, types.UnionType, tuple, dict, Mapping) and any(
         map(_says_what, get_args(hint))
     )
 
@@ -212,6 +265,8 @@ def _checkable(hint: Any) -> Any:
         return types.GenericAlias(
             tuple, tuple(a if a is Ellipsis else _checkable(a) for a in arguments)
         )
+    if origin in (dict, Mapping) and _says_what(arguments[1]):
+        return types.GenericAlias(dict, (arguments[0], _checkable(arguments[1])))
     if isinstance(hint, type) and dataclasses.is_dataclass(hint) and not issubclass(hint, Value):
         return InstanceOf.__class_getitem__(hint)
     return InstanceOf.__class_getitem__(origin) if isinstance(origin, type) else hint

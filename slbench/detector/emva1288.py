@@ -16,19 +16,28 @@ frame, so that frames are exposed in parallel and yet the same seed gives the sa
 """
 
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.capture.capture import BIT_DEPTHS
 from slbench.core.errors import InputError
 from slbench.core.random import generator
+from slbench.core.types import (
+    FINITE,
+    BitDepth,
+    Fraction,
+    Interval,
+    NotNegative,
+    Percentile,
+    Positive,
+    Seed,
+)
+from slbench.core.values import Value, checked
 from slbench.patterns import NoiseModel
 
 FloatArray = NDArray[np.float64]
@@ -54,7 +63,7 @@ _BLOCK = 1024
 
 
 @dataclass(frozen=True)
-class Detector:
+class Detector(Value):
     """A camera's detector; the defaults are those of a small machine-vision CCD.
 
     Parameters
@@ -68,7 +77,7 @@ class Detector:
     dark_current_e_per_s : float
         Mean dark current, electrons a second.
     quantum_efficiency : float
-        Electrons a photon, in (0, 1].
+        Electrons a photon.
     wavelength_nm : float
         Wavelength at which irradiance is counted in photons, nm.
     prnu : float
@@ -89,42 +98,23 @@ class Detector:
         For values outside their range.
     """
 
-    bit_depth: int = 8
-    full_well_e: float = 16_000.0
-    read_noise_e: float = 12.0
-    dark_current_e_per_s: float = 5.0
-    quantum_efficiency: float = 0.5
-    wavelength_nm: float = 550.0
-    prnu: float = 0.005
-    dsnu_e: float = 2.0
-    offset_dn: float | None = None
-    gain_e_per_dn: float | None = None
-    seed: int = 0
+    bit_depth: BitDepth = 8
+    full_well_e: Positive = 16_000.0
+    read_noise_e: NotNegative = 12.0
+    dark_current_e_per_s: NotNegative = 5.0
+    quantum_efficiency: Fraction = 0.5
+    wavelength_nm: Positive = 550.0
+    prnu: Annotated[float, FINITE, Interval(ge=0.0, le=0.3)] = 0.005
+    dsnu_e: NotNegative = 2.0
+    offset_dn: NotNegative | None = None
+    gain_e_per_dn: Positive | None = None
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
-        if isinstance(self.bit_depth, bool) or self.bit_depth not in BIT_DEPTHS:
-            raise InputError("detector: bit_depth", f"one of {BIT_DEPTHS}", self.bit_depth)
-        checks: list[tuple[str, str, Callable[[float], bool]]] = [
-            ("full_well_e", "a number > 0", lambda x: x > 0.0),
-            ("read_noise_e", "a number >= 0", lambda x: x >= 0.0),
-            ("dark_current_e_per_s", "a number >= 0", lambda x: x >= 0.0),
-            ("quantum_efficiency", "a number in (0, 1]", lambda x: 0.0 < x <= 1.0),
-            ("wavelength_nm", "a number > 0", lambda x: x > 0.0),
-            ("prnu", "a number in [0, 0.3]", lambda x: 0.0 <= x <= 0.3),
-            ("dsnu_e", "a number >= 0", lambda x: x >= 0.0),
-            ("offset_dn", f"a number in [0, {self.top_dn})", lambda x: 0.0 <= x < self.top_dn),
-            ("gain_e_per_dn", "a number > 0", lambda x: x > 0.0),
-        ]
-        for name, expected, holds in checks:
-            value = getattr(self, name)
-            if value is None and name in ("offset_dn", "gain_e_per_dn"):
-                continue
-            number = isinstance(value, (int, float, np.integer, np.floating))
-            if isinstance(value, bool) or not number or not np.isfinite(value) or not holds(value):
-                raise InputError(f"detector: {name}", expected, repr(value))
-        whole = isinstance(self.seed, (int, np.integer)) and not isinstance(self.seed, bool)
-        if not whole or self.seed < 0:
-            raise InputError("detector: seed", "a whole number >= 0", repr(self.seed))
+        super().__post_init__()
+        if self.offset_dn is not None and self.offset_dn >= self.top_dn:
+            expected = f"a number in [0, {self.top_dn}) (DN)"
+            raise InputError("detector: offset_dn", expected, self.offset_dn)
 
     @property
     def top_dn(self) -> int:
@@ -150,11 +140,12 @@ class Detector:
         return self.full_well_e / (self.top_dn - self.black_dn)
 
 
+@checked
 def photons_from_irradiance(
     irradiance_w_per_mm2: ArrayLike,
-    exposure_s: float,
-    pixel_area_mm2: float,
-    wavelength_nm: float,
+    exposure_s: NotNegative,
+    pixel_area_mm2: Positive,
+    wavelength_nm: Positive,
 ) -> FloatArray:
     """Return the mean number of photons a pixel (EMVA 1288 eq. 2): E A t / (h c / lambda).
 
@@ -173,14 +164,12 @@ def photons_from_irradiance(
     irradiance = np.asarray(irradiance_w_per_mm2, dtype=np.float64)
     if not np.all(np.isfinite(irradiance) & (irradiance >= 0.0)):
         raise InputError("photons: irradiance_w_per_mm2", "finite numbers >= 0", "others")
-    _require_positive("photons: pixel_area_mm2", pixel_area_mm2)
-    _require_positive("photons: wavelength_nm", wavelength_nm)
-    _require_exposure(exposure_s)
     joules_per_photon = PLANCK_J_S * LIGHT_SPEED_M_PER_S / (wavelength_nm * 1e-9)
     return irradiance * (exposure_s * pixel_area_mm2 / joules_per_photon)
 
 
-def expected_dn(detector: Detector, photons: ArrayLike, exposure_s: float) -> FloatArray:
+@checked
+def expected_dn(detector: Detector, photons: ArrayLike, exposure_s: NotNegative) -> FloatArray:
     """Return the mean digital number before rounding, without fixed pattern.
 
     Parameters
@@ -204,19 +193,19 @@ def expected_dn(detector: Detector, photons: ArrayLike, exposure_s: float) -> Fl
     """
     mean = np.asarray(photons, dtype=np.float64)
     _require_photons(mean)
-    _require_exposure(exposure_s)
     dark = detector.dark_current_e_per_s * exposure_s
     electrons = np.minimum(detector.quantum_efficiency * mean + dark, detector.full_well_e)
     return np.minimum(detector.black_dn + electrons / detector.e_per_dn, detector.top_dn)
 
 
+@checked
 def expose(
     detector: Detector,
     photons: ArrayLike,
-    exposure_s: float,
+    exposure_s: NotNegative,
     rng: np.random.Generator | None = None,
     noise: bool = True,
-    scale: float = 1.0,
+    scale: Positive = 1.0,
 ) -> FrameArray:
     """Expose frames: mean photons in, digital numbers out.
 
@@ -248,8 +237,6 @@ def expose(
     stack = np.asarray(photons)
     if stack.ndim < 2 or stack.size == 0 or stack.dtype.kind not in "uif":
         raise InputError("expose: photons", "real numbers of shape (..., V, U)", stack.shape)
-    _require_exposure(exposure_s)
-    _require_positive("expose: scale", scale)
     if stack.dtype not in (np.float32, np.float64):
         stack = stack.astype(np.float64)
     frames = stack.reshape(-1, *stack.shape[-2:])
@@ -282,8 +269,12 @@ def noise_model(detector: Detector) -> NoiseModel:
     )
 
 
+@checked
 def auto_exposure_scale(
-    detector: Detector, photons_white: ArrayLike, level: float = 0.8, percentile: float = 99.0
+    detector: Detector,
+    photons_white: ArrayLike,
+    level: Fraction = 0.8,
+    percentile: Percentile = 99.0,
 ) -> float:
     """Return the factor on the light that exposes the fully lit image to a given level.
 
@@ -293,9 +284,9 @@ def auto_exposure_scale(
     photons_white : array_like
         Mean photons a pixel under a fully lit panel.
     level : float
-        Fraction of full well to reach, in (0, 1].
+        Fraction of full well to reach.
     percentile : float
-        Percentile, in (0, 100], of the lit pixels (those with any photons) that reaches it;
+        Percentile of the lit pixels (those with any photons) that reaches it;
         the brighter rest is left to saturate, as highlights are.
 
     Raises
@@ -305,10 +296,6 @@ def auto_exposure_scale(
     """
     white = np.asarray(photons_white, dtype=np.float64)
     _require_photons(white)
-    if not 0.0 < level <= 1.0:
-        raise InputError("auto exposure: level", "a fraction in (0, 1]", level)
-    if not 0.0 < percentile <= 100.0:
-        raise InputError("auto exposure: percentile", "a number in (0, 100]", percentile)
     lit = white[white > 0.0]
     if lit.size == 0:
         raise InputError("auto exposure: photons_white", "lit pixels", "a black image")
@@ -433,16 +420,6 @@ def _expose(
                 electrons[i] = np.rint(electrons[i]) + read_e * normal[i]
         _digitise(electrons[:size], offset[first:last], levels, out[first:last])
     return few > 0
-
-
-def _require_positive(where: str, value: float) -> None:
-    if not (np.isfinite(value) and value > 0.0):
-        raise InputError(where, "a number > 0", value)
-
-
-def _require_exposure(exposure_s: float) -> None:
-    if not (np.isfinite(exposure_s) and exposure_s >= 0.0):
-        raise InputError("detector: exposure_s", "a number >= 0", exposure_s)
 
 
 def _require_photons(photons: FloatArray) -> None:

@@ -182,7 +182,7 @@ def _build(
         sequence=PatternSequence.parse(
             file.patterns.sequence, panel, file.patterns.shifts, file.patterns.axes
         ),
-        detector=file.detector.detector(),
+        detector=file.detector,
         exposure=Exposure(
             None if file.exposure.time_ms is None else file.exposure.time_ms * 1e-3,
             file.exposure.white_level,

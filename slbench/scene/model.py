@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
-
-import numpy as np
+from typing import Annotated, Any, Self
 
 from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
+from slbench.core.types import Bounces, Fraction, MinLen, NotNegative, Positive, Samples, Vibration
+from slbench.core.values import Value
 from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact
 from slbench.patterns import PatternSequence
@@ -22,7 +22,7 @@ from slbench.scene.materials import Material
 
 
 @dataclass(frozen=True, eq=False)
-class SceneObject:
+class SceneObject(Value):
     """An artefact somewhere in the world.
 
     Parameters
@@ -41,6 +41,7 @@ class SceneObject:
     materials: Mapping[str, Material] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for part in self.materials:
             if part not in self.artefact.parts:
                 known = ", ".join(self.artefact.parts)
@@ -48,7 +49,7 @@ class SceneObject:
 
 
 @dataclass(frozen=True)
-class Light:
+class Light(Value):
     """Light beside the projector's direct beam.
 
     Parameters
@@ -59,18 +60,12 @@ class Light:
         Interreflections followed after the direct light.
     """
 
-    ambient_w_per_mm2: float = 0.0
-    bounces: int = 0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.ambient_w_per_mm2 < np.inf:
-            raise InputError("light ambient", "zero or a positive irradiance", self)
-        if not 0 <= self.bounces <= 16:
-            raise InputError("light bounces", "0 to 16", self.bounces)
+    ambient_w_per_mm2: NotNegative = 0.0
+    bounces: Bounces = 0
 
 
 @dataclass(frozen=True)
-class Exposure:
+class Exposure(Value):
     """How long the camera exposes.
 
     Parameters
@@ -85,21 +80,13 @@ class Exposure:
         Standard deviation of the picture's shift from frame to frame, along u and v.
     """
 
-    time_s: float | None = None
-    white_level: float = 0.8
-    vibration_px: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.time_s is not None and not 0 < self.time_s < np.inf:
-            raise InputError("exposure time", "a positive time (s)", self.time_s)
-        if not 0 < self.white_level <= 1:
-            raise InputError("exposure white_level", "a fraction in (0, 1]", self.white_level)
-        if not 0 <= self.vibration_px <= 10:
-            raise InputError("exposure vibration", "0 to 10 px", self.vibration_px)
+    time_s: Positive | None = None
+    white_level: Fraction = 0.8
+    vibration_px: Vibration = 0.0
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Scene(Value):
     """A whole measurement.
 
     Parameters
@@ -122,20 +109,17 @@ class Scene:
 
     name: str
     rig: Rig
-    objects: tuple[SceneObject, ...]
+    objects: Annotated[tuple[SceneObject, ...], MinLen(1)]
     sequence: PatternSequence
     detector: Detector = field(default_factory=Detector)
     exposure: Exposure = field(default_factory=Exposure)
     light: Light = field(default_factory=Light)
-    samples: int = 64
+    samples: Samples = 64
     specification: dict[str, Any] = field(default_factory=dict)
     focus: Focus | None = None
 
     def __post_init__(self) -> None:
-        if not self.objects:
-            raise InputError(f"scene {self.name}: objects", "at least one object", "none")
-        if not 1 <= self.samples <= 65536:
-            raise InputError(f"scene {self.name}: samples", "1 to 65536", self.samples)
+        super().__post_init__()
         panel = (self.rig.projector.width, self.rig.projector.height)
         if self.sequence.panel != panel:
             raise InputError(

@@ -12,31 +12,44 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from slbench.capture.focus import MAX_SETTINGS, Focus
-from slbench.core.validation import Finite, Parameters
+from slbench.core.types import (
+    Aperture,
+    Bounces,
+    Count,
+    Distortion,
+    Finite,
+    Fraction,
+    Measure,
+    NotNegative,
+    Pair,
+    Pixels,
+    Samples,
+    Share,
+    TiltDegrees,
+    Vector,
+    Vibration,
+)
+from slbench.core.validation import Parameters
 from slbench.detector.emva1288 import Detector
 from slbench.rig import Lens, Rig
-
-Positive = Annotated[float, Field(ge=1e-9, le=1e9, allow_inf_nan=False)]
-Coordinate = Annotated[float, Field(ge=-1e6, le=1e6, allow_inf_nan=False)]
-Vector3 = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class Optics(Parameters):
     """What camera and projector have in common."""
 
-    resolution_px: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]]
-    pitch_um: Positive | tuple[Positive, Positive]
-    focal_length_mm: Positive | None = None
-    f_number: Positive | None = None
-    aperture_radius_mm: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
-    focus_distance_mm: Positive | None = None
-    magnification: Positive | None = None
-    numerical_aperture: Annotated[float, Field(ge=0, lt=1)] | None = None
+    resolution_px: tuple[Pixels, Pixels]
+    pitch_um: Measure | tuple[Measure, Measure]
+    focal_length_mm: Measure | None = None
+    f_number: Measure | None = None
+    aperture_radius_mm: NotNegative | None = None
+    focus_distance_mm: Measure | None = None
+    magnification: Measure | None = None
+    numerical_aperture: Aperture | None = None
     natural_vignetting: bool = True
-    principal_point_px: tuple[Finite, Finite] | None = None
-    distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    tilt_deg: tuple[Finite, Finite] = (0.0, 0.0)
-    body_mm: tuple[Positive, Positive, Positive] | None = None
+    principal_point_px: Pair | None = None
+    distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
+    tilt_deg: tuple[TiltDegrees, TiltDegrees] = (0.0, 0.0)
+    body_mm: tuple[Measure, Measure, Measure] | None = None
 
     @model_validator(mode="after")
     def _one_lens(self) -> Optics:
@@ -78,32 +91,12 @@ class Optics(Parameters):
         }
 
 
-class DetectorTable(Parameters):
-    """A detector; what is not given is as Detector has it."""
-
-    bit_depth: int | None = None
-    full_well_e: Finite | None = None
-    read_noise_e: Finite | None = None
-    dark_current_e_per_s: Finite | None = None
-    quantum_efficiency: Finite | None = None
-    wavelength_nm: Finite | None = None
-    prnu: Finite | None = None
-    dsnu_e: Finite | None = None
-    offset_dn: Finite | None = None
-    gain_e_per_dn: Finite | None = None
-    seed: int | None = None
-
-    def detector(self) -> Detector:
-        """Return the detector."""
-        return Detector(**self.model_dump(exclude_none=True))
-
-
 class ProjectorOptics(Optics):
     """The optical keys of a projector, and its light."""
 
-    flux_w: Positive = 1.0
+    flux_w: Measure = 1.0
     bit_depth: Annotated[int, Field(ge=0, le=16)] = 8
-    gamma: Positive = 1.0
+    gamma: Measure = 1.0
 
     def arguments(self, distance_mm: float) -> dict[str, Any]:
         """Return the arguments of Projector, focused at `distance_mm` by default."""
@@ -114,9 +107,9 @@ class ProjectorOptics(Optics):
 class PlaceTable(Parameters):
     """An explicit pose: where a device stands and what it looks at."""
 
-    position_mm: Vector3
-    target_mm: Vector3 = (0.0, 0.0, 0.0)
-    down: Vector3 = (0.0, -1.0, 0.0)
+    position_mm: Vector
+    target_mm: Vector = (0.0, 0.0, 0.0)
+    down: Vector = (0.0, -1.0, 0.0)
 
 
 class RigTable(Parameters):
@@ -131,7 +124,7 @@ class RigTable(Parameters):
     camera: PlaceTable | None = None
     projector: PlaceTable | None = None
     file: str | None = None
-    volume_mm: tuple[Positive, Positive, Positive] = (60.0, 70.0, 30.0)
+    volume_mm: tuple[Measure, Measure, Measure] = (60.0, 70.0, 30.0)
 
     @model_validator(mode="after")
     def _one_way(self) -> RigTable:
@@ -168,8 +161,8 @@ class ObjectTable(Parameters):
     centre: bool = False
     kind: str | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
-    position_mm: Vector3 = (0.0, 0.0, 0.0)
-    rotation_deg: Vector3 = (0.0, 0.0, 0.0)
+    position_mm: Vector = (0.0, 0.0, 0.0)
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
     material: str | None = None
     materials: dict[str, str] = Field(default_factory=dict)
 
@@ -188,32 +181,32 @@ class MaterialTable(Parameters):
     """``[materials.NAME]``: a material of the scene's own."""
 
     bsdf: Literal["diffuse", "rough_plastic", "rough_conductor"] = "diffuse"
-    albedo: Annotated[float, Field(ge=0, le=1)] = 0.7
-    roughness: Annotated[float, Field(gt=0, le=1)] = 0.3
-    eta: Positive | None = None
-    k: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 2.93
+    albedo: Share = 0.7
+    roughness: Fraction = 0.3
+    eta: Measure | None = None
+    k: NotNegative = 2.93
 
 
 class LightTable(Parameters):
     """``[light]``: ambient light and bounces."""
 
-    ambient_w_per_m2: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
-    bounces: Annotated[int, Field(ge=0, le=16)] = 0
+    ambient_w_per_m2: NotNegative = 0.0
+    bounces: Bounces = 0
 
 
 class ExposureTable(Parameters):
     """``[exposure]``: time or level, and vibration."""
 
-    time_ms: Positive | None = None
-    white_level: Annotated[float, Field(gt=0, le=1)] = 0.8
-    vibration_px: Annotated[float, Field(ge=0, le=10)] = 0.0
+    time_ms: Measure | None = None
+    white_level: Fraction = 0.8
+    vibration_px: Vibration = 0.0
 
 
 class FocusTable(Parameters):
     """``[focus]``: settings of a focus stack, by distances or by a sweep."""
 
-    camera_mm: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
-    projector_mm: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    camera_mm: Annotated[tuple[Measure, ...], Field(min_length=1)] | None = None
+    projector_mm: Annotated[tuple[Measure, ...], Field(min_length=1)] | None = None
     heights_mm: Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None
     settings: Annotated[int, Field(ge=1, le=MAX_SETTINGS)] | None = None
     move: Literal["both", "camera", "projector"] = "both"
@@ -259,14 +252,14 @@ class PatternsTable(Parameters):
 class RenderTable(Parameters):
     """``[render]``."""
 
-    samples: Annotated[int, Field(ge=1, le=65536)] = 64
+    samples: Samples = 64
 
 
 class PreviewTable(Parameters):
     """``[preview]``: what ``--preview`` makes of the camera."""
 
-    divisor: Annotated[int, Field(ge=1)] | None = None
-    samples: Annotated[int, Field(ge=1, le=65536)] = 16
+    divisor: Count | None = None
+    samples: Samples = 16
 
 
 class SceneTables(Parameters):
@@ -279,7 +272,7 @@ class SceneTables(Parameters):
     modules: tuple[dict[str, str], ...] = ()
     camera: Optics | None = None
     projector: ProjectorOptics | None = None
-    detector: DetectorTable = DetectorTable()
+    detector: Detector = Detector()
     rig: RigTable
     objects: Annotated[tuple[ObjectTable, ...], Field(min_length=1)]
     materials: dict[str, MaterialTable] = Field(default_factory=dict)

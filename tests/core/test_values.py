@@ -13,11 +13,16 @@ import slbench
 from slbench.core.errors import InputError
 from slbench.core.types import Percentile, Samples
 from slbench.core.values import checked
-from slbench.rig import Camera, DesignVariables, Device, Lens, Projector
+from slbench.detector.emva1288 import Detector
+from slbench.objects import load
+from slbench.patterns import PatternSequence
+from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
+from slbench.scene.model import Exposure, Light, Scene, SceneObject
 
 LENS = Lens(16.0, 1.0, 100.0)
 CAMERA = Camera(64, 48, (0.01, 0.01), LENS)
 PROJECTOR = Projector(64, 48, (0.01, 0.01), LENS)
+OBJECT = SceneObject(load("plane"))
 
 #: One of each class of values.
 VALUES = [
@@ -26,6 +31,11 @@ VALUES = [
     CAMERA,
     PROJECTOR,
     DesignVariables(100.0, 50.0, 0.0, 5.0, 0.1, 0.0),
+    Detector(),
+    Exposure(),
+    Light(),
+    OBJECT,
+    Scene("plain", Rig(CAMERA, PROJECTOR), (OBJECT,), PatternSequence.parse("1", (64, 48))),
 ]
 
 

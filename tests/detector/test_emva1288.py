@@ -293,31 +293,6 @@ def test_predicted_deviation_covers_decoded_detector_frames():
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("bit_depth", 9),
-        ("full_well_e", 0),
-        ("read_noise_e", -1),
-        ("dark_current_e_per_s", np.nan),
-        ("quantum_efficiency", 1.2),
-        ("wavelength_nm", 0),
-        ("prnu", -0.1),
-        ("dsnu_e", np.inf),
-        ("offset_dn", 255),
-        ("gain_e_per_dn", 0),
-        ("full_well_e", "16000"),
-        ("read_noise_e", None),
-        ("seed", -1),
-        ("seed", 1.5),
-    ],
-)
-def test_bad_parameters_are_named(key, value):
-    with pytest.raises(InputError, match=f"detector: {key}: expected") as caught:
-        Detector(**{key: value})
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
     "call",
     [
         lambda d, r: expose(d, np.zeros(5), 0.0, r),

@@ -35,7 +35,7 @@ from slbench.rig import (
     rotation_yx,
 )
 from slbench.scene.file import read_merged
-from slbench.scene.tables import DetectorTable, Optics, ProjectorOptics
+from slbench.scene.tables import Optics, ProjectorOptics
 
 Array = NDArray[np.float64]
 AnyDevice = TypeVar("AnyDevice", bound=Device)
@@ -308,7 +308,7 @@ class _HardwareFile(Parameters):
     projector: ProjectorOptics
     rig: dict[str, Any]
     design: _Design
-    detector: DetectorTable = DetectorTable()
+    detector: Detector = Detector()
     # What else a scene may hold: it is no concern of the design.
     name: Any = None
     description: Any = None
@@ -367,7 +367,7 @@ def load_hardware(name_or_path: str | Path, *, allow_modules: bool = False) -> H
             design.coded_axes,
             design.circle_of_confusion_px,
             (file.camera.focus_distance_mm is None, file.projector.focus_distance_mm is None),
-            file.detector.detector(),
+            file.detector,
         )
     except InputError as error:
         raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
