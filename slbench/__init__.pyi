@@ -44,12 +44,12 @@ from .datasets.read.stored import Sample as Sample
 from .detector.emva1288 import Detector as Detector
 from .objects.artefact import Artefact as Artefact
 from .objects.artefact import Mesh as Mesh
-from .patterns.codes import Flat as Flat
-from .patterns.codes import Fringes as Fringes
-from .patterns.codes import GrayCode as GrayCode
 from .patterns.decode import PhaseMap as PhaseMap
 from .patterns.decode import decode as decode
-from .patterns.phase import NoiseModel as NoiseModel
+from .patterns.flat import Flat as Flat
+from .patterns.fringes import Fringes as Fringes
+from .patterns.gray import GrayCode as GrayCode
+from .patterns.noise import NoiseModel as NoiseModel
 from .patterns.sequence import PatternSequence as PatternSequence
 from .rig.device import Camera as Camera
 from .rig.device import Projector as Projector

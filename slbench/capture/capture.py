@@ -170,7 +170,7 @@ class Capture:
             "format": _FORMAT,
             "bit_depth": self.bit_depth,
             "frames": names,
-            "patterns": self.sequence.to_dict(),
+            "patterns": self.sequence.to_dict(root),
         }
         if self.pair != ALONE:
             manifest |= self.pair._asdict()
@@ -217,7 +217,7 @@ class Capture:
         modules = manifest.get("modules", ())
         load_modules(modules, path.parent, allow_modules, f"{path}: modules")
         try:
-            sequence = PatternSequence.from_dict(manifest["patterns"])
+            sequence = PatternSequence.from_dict(manifest["patterns"], path.parent)
             noise = _noise(manifest["noise"]) if "noise" in manifest else None
             frames = _read_frames(path.parent, manifest["frames"])
             pair = _pair(manifest)

@@ -29,13 +29,7 @@ from slbench.capture.fusion.measures import check_window
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_grey, read_toml, write_toml
-from slbench.patterns import (
-    Flat,
-    Fringes,
-    NoiseModel,
-    PhaseMap,
-    relative_phase,
-)
+from slbench.patterns import NoiseModel, PhaseMap
 from slbench.rig import Pair
 
 Array = NDArray[np.float64]
@@ -125,9 +119,8 @@ class FocusStack:
             If the patterns have none.
         """
         sequence = self.captures[0].sequence
-        for k, frame in enumerate(sequence.frames()):
-            if isinstance(frame.part, Flat) and frame.part.level == 1.0:
-                return k
+        if sequence.lit_frame is not None:
+            return sequence.lit_frame
         raise InputError(
             "focus stack", "a fully lit frame (white) among the patterns", sequence.name
         )
@@ -346,16 +339,14 @@ def modulation_weights(stack: FocusStack, window: int = 9) -> FusionWeights:
         ``focus`` is the index of the strongest setting; selectivity is not defined (NaN).
     """
     sequence = stack.captures[0].sequence
-    sets = [(part.count, i) for i, part in enumerate(sequence.parts) if isinstance(part, Fringes)]
-    if not sets:
+    finest = sequence.finest()
+    if finest is None:
         raise InputError("focus stack", "fringes, for weights by modulation", sequence.name)
     check_window(window, 1)
-    finest = max(sets)[1]
-    own = [k for k, frame in enumerate(sequence.frames()) if frame.part_index == finest]
     waves: list[NDArray[np.complex64]] = []
     for setting in range(len(stack)):
-        frames = np.stack([stack.frame(setting, k) for k in own])
-        phase, modulation, _ = relative_phase(frames)
+        frames = np.stack([stack.frame(setting, k) for k in finest.frames])
+        phase, modulation, _ = finest.code.relative_phase(frames)
         waves.append((modulation * np.exp(1j * phase)).astype(np.complex64))
     strength = np.abs(waves)
     best = np.argmax(strength, axis=0)

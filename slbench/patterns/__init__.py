@@ -1,27 +1,43 @@
-"""Patterns: what the projector shows, and how frames are decoded to panel coordinates."""
+"""Patterns: what the projector shows, and how frames are decoded to panel coordinates.
 
-from slbench.patterns.codes import Axis, Flat, Fringes, GrayCode, Part, panel_response
+A *code* is a part of a sequence (:mod:`slbench.patterns.base` says what it is); the families
+that exist are in :data:`CODES`.
+"""
+
+from slbench.patterns.base import Axis, Code, Found, Observed, Panel, Placed, Run, Variation
 from slbench.patterns.decode import MIN_MODULATION_DN, PhaseMap, decode
+from slbench.patterns.flat import Flat
+from slbench.patterns.fringes import Fringes
+from slbench.patterns.gray import GrayCode
+from slbench.patterns.noise import NoiseModel
+from slbench.patterns.panel import panel_response
 from slbench.patterns.phase import (
-    NoiseModel,
     order_error_probability,
     relative_phase,
     unwrap,
     unwrap_spatially,
 )
+from slbench.patterns.registry import CODES
 from slbench.patterns.sequence import Frame, PatternSequence
 
 __all__ = [
+    "CODES",
     "MIN_MODULATION_DN",
     "Axis",
+    "Code",
     "Flat",
+    "Found",
     "Frame",
     "Fringes",
     "GrayCode",
     "NoiseModel",
-    "Part",
+    "Observed",
+    "Panel",
     "PatternSequence",
     "PhaseMap",
+    "Placed",
+    "Run",
+    "Variation",
     "decode",
     "order_error_probability",
     "panel_response",

@@ -1,20 +1,23 @@
 """From frames to panel coordinates, pixel by pixel and without neighbours.
 
-The equations are those of :mod:`slbench.patterns.phase`; here a sequence is turned into a
-plan for each panel axis, which compiled loops (:mod:`slbench.patterns._kernels`) carry out
-in one pass over the frames.
+A sequence is walked run by run (:meth:`slbench.patterns.sequence.PatternSequence.runs`): each
+family of codes decodes its own, given what coarser ones have found.  What all codes share is
+here: checked frames, the search for saturated pixels, one mask over all axes.
 """
 
-from dataclasses import dataclass
-from math import inf, pi, sqrt
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import inf
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
-from slbench.patterns.codes import Axis, Flat, Fringes, GrayCode
-from slbench.patterns.phase import FloatArray, NoiseModel
+from slbench.patterns.base import Axis, FloatArray, Found, Observed
+from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
 
 #: Least modulation of a measured pixel, DN, unless said otherwise.
@@ -41,6 +44,11 @@ class PhaseMap:
         True where every coded axis was measured.
     relative : dict of axis to list of (fringes, (V, U) float64)
         Relative phase in [0, 2 pi) of every fringe set, unmasked; empty unless asked for.
+    evidence : dict of part index to dict of name to (..., V, U) float64
+        By what the coordinate may be judged, unmasked; empty unless asked for.  Fringe sets
+        that are unwrapped have ``order_residual``: the fringe order less the whole number it is
+        rounded to, in turns.  Gray codes have ``bit_contrast`` (bits, V, U): half the difference
+        between lit and unlit of every bit, in DN.
     """
 
     coordinate: dict[Axis, FloatArray]
@@ -49,6 +57,7 @@ class PhaseMap:
     mean: FloatArray
     mask: NDArray[np.bool_]
     relative: dict[Axis, list[tuple[int, FloatArray]]]
+    evidence: dict[int, dict[str, FloatArray]] = field(default_factory=dict)
 
 
 def decode(
@@ -60,6 +69,7 @@ def decode(
     min_modulation: float = MIN_MODULATION_DN,
     min_snr: float = 3.0,
     keep_relative: bool = False,
+    keep_evidence: bool = False,
 ) -> PhaseMap:
     """Decode the frames of a sequence to panel coordinates with their standard deviations.
 
@@ -94,6 +104,8 @@ def decode(
         Least ratio of every set's modulation to the noise of a single frame.
     keep_relative : bool
         Keep the relative phases too.
+    keep_evidence : bool
+        Keep the evidence too.
 
     Returns
     -------
@@ -108,7 +120,6 @@ def decode(
         For frames that do not fit the sequence, or a sequence that cannot be unwrapped.
     """
     pixels = _flatten(frames, sequence)
-    model = NoiseModel() if noise is None else noise
     for name, value in (("min_modulation", min_modulation), ("min_snr", min_snr)):
         if not (np.isfinite(value) and value >= 0.0):
             raise InputError(f"decode: {name}", "a number >= 0", value)
@@ -117,68 +128,72 @@ def decode(
         saturation = float(np.iinfo(pixels.dtype).max) if integer else inf
     elif np.isnan(saturation):
         raise InputError("decode: saturation", "a number", saturation)
-    if not sequence.axes:
-        raise InputError("decode: sequence", "fringes or a Gray code", sequence.name)
-    limits = np.array([saturation, min_modulation**2, min_snr**2])
+    observed = Observed(
+        pixels=pixels,
+        panel=sequence.panel,
+        codes=tuple(sequence.placed()),
+        noise=NoiseModel() if noise is None else noise,
+        saturation=saturation,
+        min_modulation=min_modulation,
+        min_snr=min_snr,
+        keep_relative=keep_relative,
+        keep_evidence=keep_evidence,
+    )
+    runs = sequence.runs()
+    # One look at every frame is enough: the run that decides the first axis takes it.
+    searched = tuple(
+        frame
+        for placed in observed.codes
+        for k, frame in enumerate(placed.frames)
+        if not placed.code.may_saturate(k)
+    )
+    last = max(i for i, run in enumerate(runs) if sequence.axes[0] in run.axes)
+    runs[last] = replace(runs[last], searched=searched)
 
-    plans = {axis: _plan(sequence, axis) for axis in sequence.axes}
     shape = frames.shape[1:]
-    results = []
-    for i, (axis, plan) in enumerate(plans.items()):
-        # One look at every frame is enough, with the first axis.
-        checked = np.arange(sequence.n_frames if i == 0 else 0)
-        results.append(
-            _decode_axis(pixels, sequence, axis, plan, checked, model, limits, keep_relative)
-        )
-    modulation, mean, mask = results[0].modulation, results[0].mean, results[0].mask
-    if len(results) > 1:
-        modulation = np.minimum.reduce([r.modulation for r in results])
-        mean = np.mean([r.mean for r in results], axis=0)
-        mask = np.logical_and.reduce([r.mask for r in results])
-        for result in results:
-            result.coordinate[~mask] = np.nan
-            result.sigma[~mask] = np.nan
+    found: dict[Axis, Found] = {}
     relative: dict[Axis, list[tuple[int, FloatArray]]] = {}
-    if keep_relative:
-        relative = {
-            axis: [
-                (n, phi.reshape(shape))
-                for (_, _, n), phi in zip(plan.sets, r.relative, strict=True)
-            ]
-            for (axis, plan), r in zip(plans.items(), results, strict=True)
-        }
+    evidence: dict[int, dict[str, FloatArray]] = {}
+    for run in runs:
+        for axis, one in run.family.decode_run(run, observed, found).items():
+            found[axis] = one
+            if keep_relative:
+                phases = [(n, phi.reshape(shape)) for n, phi in one.relative]
+                relative[axis] = relative.get(axis, []) + phases
+            for part, values in one.evidence.items():
+                reshaped = {name: v.reshape(*v.shape[:-1], *shape) for name, v in values.items()}
+                evidence[part] = evidence.get(part, {}) | reshaped
+    results = {axis: found[axis] for axis in sequence.axes}
+    mask = _shared_mask(list(results.values()), searched, observed)
+    modulation, mean = results[sequence.axes[0]].modulation, results[sequence.axes[0]].mean
+    if len(results) > 1:
+        modulation = np.minimum.reduce([one.modulation for one in results.values()])
+        mean = np.mean([one.mean for one in results.values()], axis=0)
     return PhaseMap(
-        coordinate={
-            axis: r.coordinate.reshape(shape) for axis, r in zip(plans, results, strict=True)
-        },
-        sigma={axis: r.sigma.reshape(shape) for axis, r in zip(plans, results, strict=True)},
+        coordinate={axis: one.coordinate.reshape(shape) for axis, one in results.items()},
+        sigma={axis: one.sigma.reshape(shape) for axis, one in results.items()},
         modulation=modulation.reshape(shape),
         mean=mean.reshape(shape),
         mask=mask.reshape(shape),
         relative=relative,
+        evidence=evidence,
     )
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """The frames that decode one axis."""
-
-    sets: tuple[tuple[int, int, int], ...]
-    """First frame, shifts and fringe count of each fringe set."""
-    gray: tuple[int, GrayCode] | None
-    """First frame of the Gray code, and the code."""
-
-
-@dataclass(frozen=True)
-class _AxisResult:
-    """Flat (P,) results of one axis, as in PhaseMap; `relative` is (S, P) or (S, 0)."""
-
-    coordinate: FloatArray
-    sigma: FloatArray
-    modulation: FloatArray
-    mean: FloatArray
-    mask: NDArray[np.bool_]
-    relative: FloatArray
+def _shared_mask(
+    results: Sequence[Found], searched: Sequence[int], observed: Observed
+) -> NDArray[np.bool_]:
+    """Return where every axis is measured, (P,); coordinates and sigmas become NaN elsewhere."""
+    if len(results) == 1 and results[0].complete:
+        return results[0].mask
+    mask = np.logical_and.reduce([one.mask for one in results])
+    if not results[0].complete:
+        for k in searched:
+            mask &= observed.pixels[k] < observed.saturation  # False for NaN
+    for one in results:
+        one.coordinate[~mask] = np.nan
+        one.sigma[~mask] = np.nan
+    return mask
 
 
 def _flatten(frames: object, sequence: PatternSequence) -> NDArray[Any]:
@@ -193,109 +208,3 @@ def _flatten(frames: object, sequence: PatternSequence) -> NDArray[Any]:
         raise InputError("decode: frames", expected, frames.shape[0])
     native = frames.dtype.newbyteorder("=")
     return np.ascontiguousarray(frames, dtype=native).reshape(frames.shape[0], -1)
-
-
-def _plan(sequence: PatternSequence, axis: Axis) -> _Plan:
-    """Find the frames of one axis and check that each set can be unwrapped."""
-    sets: list[tuple[int, int, int]] = []
-    gray: tuple[int, GrayCode] | None = None
-    for first, frame in enumerate(sequence.frames()):
-        if frame.index > 0 or frame.axis != axis:
-            continue
-        where = f"decode: parts[{frame.part_index}]"
-        if isinstance(frame.part, GrayCode):
-            if sets:
-                raise InputError(where, f"the Gray code before the fringes along {axis}", "after")
-            gray = (first, frame.part)
-        elif isinstance(frame.part, Fringes):
-            if not sets and gray is None and frame.part.count != 1:
-                raise InputError(
-                    where, f"one fringe or a Gray code first along {axis}", frame.part.count
-                )
-            sets.append((first, frame.part.shifts, frame.part.count))
-    return _Plan(tuple(sets), gray)
-
-
-def _decode_axis(
-    pixels: NDArray[Any],
-    sequence: PatternSequence,
-    axis: Axis,
-    plan: _Plan,
-    checked: NDArray[np.intp],
-    noise: NoiseModel,
-    limits: FloatArray,
-    keep_relative: bool,
-) -> _AxisResult:
-    """Decode one axis; `checked` are the frames to search for saturated pixels."""
-    from slbench.patterns import _kernels  # Numba takes half a second
-
-    n_pixels = pixels.shape[1]
-    size = sequence.size(axis)
-    reference = np.empty(0)
-    if plan.gray is not None:
-        column, contrast, mean = _decode_gray(pixels, sequence, *plan.gray)
-        if not plan.sets:
-            saturation, least_square, least_ratio = limits
-            good = (contrast**2 >= least_square) & (column < size)
-            good &= contrast**2 >= least_ratio * noise.variance(mean)
-            for k in checked:
-                good &= pixels[k] < saturation
-            return _AxisResult(
-                np.where(good, column, np.nan),
-                np.where(good, 1.0 / sqrt(12.0), np.nan),
-                contrast,
-                mean,
-                good,
-                np.empty((0, 0)),
-            )
-        # A column beyond the panel is a misread code; NaN masks its pixel.
-        reference = np.where(column < size, 2.0 * pi * (column + 0.5) / size, np.nan)
-
-    weights = np.zeros((len(plan.sets), max(shifts for _, shifts, _ in plan.sets), 2))
-    for s, (_, shifts, _) in enumerate(plan.sets):
-        angle = 2.0 * pi * np.arange(shifts) / shifts
-        weights[s, :shifts] = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    coordinate, sigma, modulation, mean = (np.empty(n_pixels) for _ in range(4))
-    mask = np.empty(n_pixels, dtype=np.bool_)
-    relative = np.empty((len(plan.sets), n_pixels if keep_relative else 0))
-    _kernels.decode_fringes(
-        pixels,
-        checked,
-        np.array(plan.sets, dtype=np.int64),
-        weights,
-        float(size),
-        reference,
-        np.array([noise.constant_variance, noise.gain_dn_per_e, noise.offset_dn]),
-        limits,
-        coordinate,
-        sigma,
-        modulation,
-        mean,
-        mask,
-        relative,
-    )
-    return _AxisResult(coordinate, sigma, modulation, mean, mask, relative)
-
-
-def _decode_gray(
-    pixels: NDArray[Any], sequence: PatternSequence, first: int, code: GrayCode
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return column, contrast and mean of a Gray code, (P,) each."""
-    from slbench.patterns import _kernels
-
-    threshold = np.empty(0)
-    if not code.inverse:
-        flats: dict[float, list[int]] = {0.0: [], 1.0: []}
-        for k, frame in enumerate(sequence.frames()):
-            if isinstance(frame.part, Flat) and frame.part.level in flats:
-                flats[float(frame.part.level)].append(k)
-        if not (flats[0.0] and flats[1.0]):
-            raise InputError(
-                "decode: Gray code without inverses", "a white and a black frame", "not both"
-            )
-        black, white = (pixels[k].mean(axis=0, dtype=np.float64) for k in flats.values())
-        threshold = 0.5 * (black + white)
-    column, contrast, mean = (np.empty(pixels.shape[1]) for _ in range(3))
-    bits = code.n_bits(sequence.size(code.axis))
-    _kernels.decode_gray(pixels, first, bits, code.inverse, threshold, column, contrast, mean)
-    return column, contrast, mean

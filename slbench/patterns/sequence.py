@@ -1,45 +1,38 @@
-"""Pattern sequences: what the projector's panel shows, frame by frame.
+"""Pattern sequences: what the projector's panel shows, and what is decoded from it, in order.
 
-A :class:`PatternSequence` is a list of parts (:mod:`slbench.patterns.codes`) on a panel of
-known size.  Because every frame varies along one panel axis only, the light transport is
-multiplied with *profiles*, one value a column or row; whole images are made only to be
-shown.  The short text of a sequence, such as ``"1,10,50@4"``, follows the thesis's notation
-{1, 10, 50} for fringe counts in order of unwrapping.
+A :class:`PatternSequence` is a list of codes (:mod:`slbench.patterns.base`) on a panel of known
+size.  Where a frame varies along one panel axis only, the light transport is multiplied with its
+*profile*, one value a column or row; whole images are made where a code shows them, and to be
+looked at.  The short text of a sequence, such as ``"1,10,50@4"``, follows the thesis's notation
+{1, 10, 50} for fringe counts in order of unwrapping; each family of codes has words of its own.
 """
 
-import re
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from itertools import groupby
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.core.checks import require_keys, require_whole
 from slbench.core.errors import InputError
-from slbench.patterns.codes import (
-    MIN_SHIFTS,
+from slbench.core.registry import quoted
+from slbench.patterns.base import (
     Axis,
-    Flat,
-    Fringes,
-    GrayCode,
-    Part,
+    Code,
+    Placed,
+    Run,
+    Variation,
+    extent,
+    flat_frames,
     require_axis,
-    require_whole,
 )
-
-# Three pixels a fringe are the least that carry amplitude, phase and mean.
-MIN_PIXELS_PER_FRINGE = 3
-
-_KINDS: dict[str, type[Fringes] | type[GrayCode] | type[Flat]] = {
-    "fringes": Fringes,
-    "gray": GrayCode,
-    "flat": Flat,
-}
-_KEYS: dict[str, tuple[set[str], set[str]]] = {  # kind -> (required, optional)
-    "fringes": ({"count"}, {"shifts", "axis"}),
-    "gray": (set(), {"axis", "inverse"}),
-    "flat": ({"level"}, set()),
-}
+from slbench.patterns.registry import CODES
 
 
 @dataclass(frozen=True)
@@ -48,12 +41,12 @@ class Frame:
 
     part_index: int
     """Index into ``PatternSequence.parts``."""
-    part: Part
+    part: Code
     """The part itself."""
     index: int
     """Index of the frame within its part."""
-    axis: Axis | None
-    """Panel axis the frame varies along; None for a flat frame."""
+    along: Variation | None
+    """What the frame varies along: a panel axis, or "uv"; None for a flat frame."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +57,7 @@ class PatternSequence:
     ----------
     panel : (int, int)
         Panel width W and height H in pixels.
-    parts : tuple of Fringes, GrayCode or Flat
+    parts : tuple of Code
         What is shown, in order of time.
 
     Raises
@@ -75,7 +68,7 @@ class PatternSequence:
     """
 
     panel: tuple[int, int]
-    parts: tuple[Part, ...]
+    parts: tuple[Code, ...]
 
     def __post_init__(self) -> None:
         if not isinstance(self.panel, (tuple, list)) or len(self.panel) != 2:
@@ -87,40 +80,27 @@ class PatternSequence:
         object.__setattr__(self, "parts", tuple(self.parts))
         if not self.parts:
             raise InputError("patterns: parts", "at least one part", "none")
-        gray_axes: set[str] = set()
         for i, part in enumerate(self.parts):
             where = f"patterns: parts[{i}]"
-            if isinstance(part, Fringes):
-                most = self.size(part.axis) // MIN_PIXELS_PER_FRINGE
-                if part.count > most:
-                    raise InputError(
-                        f"{where}.count",
-                        f"at most {most} fringes on {self.size(part.axis)} panel pixels",
-                        part.count,
-                    )
-            elif isinstance(part, GrayCode):
-                if part.axis in gray_axes:
-                    raise InputError(where, f"one Gray code along {part.axis}", "a second one")
-                if self.size(part.axis) < 2:
-                    raise InputError(where, "at least 2 panel pixels to code", "1")
-                gray_axes.add(part.axis)
-            elif not isinstance(part, Flat):
-                raise InputError(where, "Fringes, GrayCode or Flat", type(part).__name__)
+            if not isinstance(part, Code):
+                raise InputError(where, "a pattern code", type(part).__name__)
+            with _located(where):
+                part.check(self.panel, self.parts[:i])
 
     def size(self, axis: Axis) -> int:
         """Return the number of panel pixels along `axis`: W for "u", H for "v"."""
         require_axis("patterns: axis", axis)
-        return self.panel[0] if axis == "u" else self.panel[1]
+        return extent(self.panel, axis)
 
     @property
     def axes(self) -> tuple[Axis, ...]:
         """The coded panel axes, in order of their first appearance."""
-        return tuple(dict.fromkeys(part.axis for part in self.parts if not isinstance(part, Flat)))
+        return tuple(dict.fromkeys(axis for part in self.parts for axis in part.axes))
 
     @property
     def n_frames(self) -> int:
         """Number of frames in one scan."""
-        return sum(self._frames_of(part) for part in self.parts)
+        return sum(part.n_frames(self.panel) for part in self.parts)
 
     @property
     def name(self) -> str:
@@ -135,29 +115,129 @@ class PatternSequence:
             return self._text(self.axes)
         return next(iter(texts.values()), self._text(()))
 
+    # What the parts are.
+
+    def placed(self) -> list[Placed]:
+        """Return the parts with their places, in order."""
+        placed, start = [], 0
+        for i, part in enumerate(self.parts):
+            stop = start + part.n_frames(self.panel)
+            placed.append(Placed(i, part, range(start, stop)))
+            start = stop
+        return placed
+
+    def runs(self) -> list[Run]:
+        """Return the parts that code an axis as runs, in the order of decoding.
+
+        Raises
+        ------
+        InputError
+            For a sequence that cannot be resolved: no frames are needed to find out.
+        """
+        if not self.axes:
+            raise InputError("decode: sequence", "fringes or a Gray code", self.name)
+        groups: list[list[Placed]] = []
+        latest: dict[Axis, list[Placed]] = {}  # the group that codes each axis so far
+        for placed in self.placed():
+            code = placed.code
+            if not code.axes:
+                continue
+            group = latest.get(code.axes[0], [])
+            adjacent = all(latest.get(axis) is group for axis in code.axes)
+            head = group[0].code if group else None
+            if adjacent and head and type(head) is type(code) and head.axes == code.axes:
+                group.append(placed)
+            else:
+                groups.append([placed])
+                latest.update(dict.fromkeys(code.axes, groups[-1]))
+        runs = [Run(tuple(group)) for group in groups]
+        for i, run in enumerate(runs):
+            run.family.check_run(run, [r for r in runs[:i] if set(r.axes) & set(run.axes)])
+        return runs
+
+    def fringe_sets(self, axis: Axis | None = None) -> list[Placed]:
+        """Return the sets of shifted fringes, along one axis or all, in order of projection."""
+        return [
+            placed
+            for placed in self.placed()
+            if placed.code.fringe_count is not None and (axis is None or axis in placed.code.axes)
+        ]
+
     def fringe_counts(self, axis: Axis) -> tuple[int, ...]:
         """Return the fringe counts along `axis`, in order of projection."""
         require_axis("patterns: axis", axis)
-        return tuple(p.count for p in self.parts if isinstance(p, Fringes) and p.axis == axis)
+        counts = (placed.code.fringe_count for placed in self.fringe_sets(axis))
+        return tuple(count for count in counts if count is not None)
+
+    def finest(self, axis: Axis | None = None) -> Placed | None:
+        """Return the set of most fringes, the last of equals; None if there are no fringes."""
+        sets = self.fringe_sets(axis)
+        return max(sets, key=lambda p: (p.code.fringe_count or 0, p.index)) if sets else None
+
+    @property
+    def lit_frame(self) -> int | None:
+        """Index of the first fully lit frame (white), None if there is none."""
+        return next(iter(flat_frames(self.placed(), 1.0)), None)
+
+    # What the frames show.
 
     def frames(self) -> list[Frame]:
         """Return one :class:`Frame` for each projected frame, in order."""
         return [
-            Frame(i, part, k, None if isinstance(part, Flat) else part.axis)
-            for i, part in enumerate(self.parts)
-            for k in range(self._frames_of(part))
+            Frame(placed.index, placed.code, k, placed.code.varies(k))
+            for placed in self.placed()
+            for k in range(len(placed.frames))
         ]
 
-    def profile(self, k: int) -> tuple[Axis, NDArray[np.float64]]:
-        """Return frame `k` as its axis and its values along it.
+    @property
+    def variations(self) -> tuple[Variation, ...]:
+        """What frames vary along, in order of first appearance: the light transport they need.
+
+        Flat frames vary along nothing and share the first one's transport, or that of "u".
+        """
+        found = (frame.along for frame in self.frames())
+        return tuple(dict.fromkeys(along for along in found if along is not None)) or ("u",)
+
+    def frames_along(self, along: Variation) -> NDArray[np.intp]:
+        """Return the indices of the frames that vary so, increasing; flat ones with the first."""
+        chosen = {along, None} if along == self.variations[0] else {along}
+        own = [k for k, frame in enumerate(self.frames()) if frame.along in chosen]
+        return np.array(own, dtype=np.intp)
+
+    def shown(self, indices: NDArray[np.intp], along: Variation) -> NDArray[np.float64]:
+        """Return what frames of :meth:`frames_along` show, in [0, 1].
 
         Returns
         -------
-        axis : {"u", "v"}
-            Axis of variation.  Flat frames, which vary along neither, are given along the
-            first coded axis (``"u"`` if there is none), so that they share its transport.
-        values : ndarray of shape (W,) or (H,)
-            Panel values in [0, 1].
+        (n, W), (n, H) or (n, H, W) float64
+            For `along` "u", "v" and "uv".
+        """
+        frames = self.frames()
+        chosen = [frames[k] for k in indices]
+        if along == "uv":
+            values = [frame.part.image(frame.index, self.panel) for frame in chosen]
+            shape: tuple[int, ...] = (self.panel[1], self.panel[0])
+        else:
+            size = self.size(along)
+            values = [frame.part.profile(frame.index, size) for frame in chosen]
+            shape = (size,)
+        return np.array(values, dtype=np.float64).reshape(len(chosen), *shape)
+
+    def profiles(self, axis: Axis) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        """Return the frames along `axis` and their profiles, for one product with its transport.
+
+        Returns
+        -------
+        indices : ndarray of shape (n,)
+            Frame indices in the sequence, increasing.
+        values : ndarray of shape (n, W) or (n, H)
+            Panel values in [0, 1]; flat frames come with the first coded axis.
+        """
+        indices = self.frames_along(axis)
+        return indices, self.shown(indices, axis)
+
+    def image(self, k: int) -> NDArray[np.float64]:
+        """Return frame `k` as a panel image, (H, W), values in [0, 1].
 
         Raises
         ------
@@ -167,57 +247,31 @@ class PatternSequence:
         frames = self.frames()
         if not 0 <= k < len(frames):
             raise InputError("patterns: frame index", f"0..{len(frames) - 1}", k)
-        frame = frames[k]
-        axis = self._profile_axis(frame.axis)
-        return axis, frame.part.profile(frame.index, self.size(axis))
-
-    def profiles(self, axis: Axis) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """Return all frames that vary along `axis`, for one product with its transport.
-
-        Returns
-        -------
-        indices : ndarray of shape (n,)
-            Frame indices in the sequence, increasing.
-        values : ndarray of shape (n, W) or (n, H)
-            Panel values in [0, 1]; flat frames as in :meth:`profile`.
-        """
-        size = self.size(axis)
-        chosen = [
-            (k, frame.part.profile(frame.index, size))
-            for k, frame in enumerate(self.frames())
-            if self._profile_axis(frame.axis) == axis
-        ]
-        indices = np.array([k for k, _ in chosen], dtype=np.intp)
-        values = np.array([row for _, row in chosen], dtype=np.float64)
-        return indices, values.reshape(len(chosen), size)
+        return frames[k].part.image(frames[k].index, self.panel)
 
     def images(self) -> NDArray[np.float64]:
         """Return all frames as panel images, shape (N, H, W), values in [0, 1]."""
-        width, height = self.panel
-        images = np.empty((self.n_frames, height, width))
-        for k in range(self.n_frames):
-            axis, values = self.profile(k)
-            images[k] = values[np.newaxis, :] if axis == "u" else values[:, np.newaxis]
+        images = np.empty((self.n_frames, self.panel[1], self.panel[0]))
+        for image, frame in zip(images, self.frames(), strict=True):
+            image[:] = frame.part.image(frame.index, self.panel)
         return images
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the sequence as plain values for a TOML or JSON file."""
-        parts: list[dict[str, Any]] = []
-        for part in self.parts:
-            if isinstance(part, Fringes):
-                count, shifts = int(part.count), int(part.shifts)
-                parts.append(
-                    {"kind": "fringes", "count": count, "shifts": shifts, "axis": part.axis}
-                )
-            elif isinstance(part, GrayCode):
-                parts.append({"kind": "gray", "axis": part.axis, "inverse": part.inverse})
-            else:
-                parts.append({"kind": "flat", "level": float(part.level)})
+    # How a sequence is written and read.
+
+    def to_dict(self, folder: Path | None = None) -> dict[str, Any]:
+        """Return the sequence as plain values for a TOML or JSON file in `folder`."""
+        parts = [{"kind": part.kind} | part.to_table(folder) for part in self.parts]
         return {"panel": list(self.panel), "parts": parts}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> "PatternSequence":
+    def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> PatternSequence:
         """Build a sequence from what :meth:`to_dict` gives.
+
+        Parameters
+        ----------
+        data : mapping
+        folder : path, optional
+            Where the file stands that it was read from; names of files are relative to it.
 
         Raises
         ------
@@ -226,30 +280,34 @@ class PatternSequence:
         """
         if not isinstance(data, Mapping):
             raise InputError("patterns", "a table with panel and parts", type(data).__name__)
-        _require_keys("patterns", data, {"panel", "parts"}, set())
+        require_keys("patterns.", data, ("panel", "parts"), ())
         if not isinstance(data["parts"], (list, tuple)):
             raise InputError("patterns: parts", "a list of tables", repr(data["parts"]))
-        parts = [_part_from_dict(f"patterns: parts[{i}]", p) for i, p in enumerate(data["parts"])]
+        parts = [
+            _part_from_dict(f"patterns: parts[{i}]", table, folder)
+            for i, table in enumerate(data["parts"])
+        ]
         return cls(data["panel"], tuple(parts))
 
     @classmethod
     def parse(
         cls, text: str, panel: tuple[int, int], shifts: int = 3, axes: str = "u"
-    ) -> "PatternSequence":
+    ) -> PatternSequence:
         """Read a sequence from its short text.
 
         Parameters
         ----------
         text : str
-            Parts joined by ``+``: ``white``, ``black``, ``gray`` or fringe counts joined by
-            commas.  ``@N`` after a count sets N shifts for it and for the counts before it
-            that have none: ``"1,10,50"``, ``"1,10,50@4"``, ``"gray+16@8"``.
+            Words joined by ``+``: ``white``, ``black``, ``gray``, fringe counts joined by
+            commas, or those of installed codes.  ``@N`` after a count sets N shifts for it and
+            for the counts before it that have none: ``"1,10,50"``, ``"1,10,50@4"``,
+            ``"gray+16@8"``.
         panel : (int, int)
             Panel width and height in pixels.
         shifts : int
             Number of shifts where the text gives none.
         axes : {"u", "v", "uv", "vu"}
-            Coded panel axes, each in turn; white and black are shown once.
+            Coded panel axes, each in turn; what does not code one alone is shown once.
 
         Raises
         ------
@@ -260,96 +318,53 @@ class PatternSequence:
             raise InputError("patterns", 'text such as "1,10,50@4" or "gray+16@8"', repr(text))
         if axes not in ("u", "v", "uv", "vu"):
             raise InputError("patterns: axes", '"u", "v", "uv" or "vu"', repr(axes))
-        parts: list[Part] = []
-        for i, axis in enumerate(axes):
+        parts: list[Code] = []
+        for i, axis in enumerate(cast(Sequence[Axis], axes)):
             for word in text.replace(" ", "").split("+"):
-                if word in ("white", "black"):
-                    if i == 0:
-                        parts.append(Flat(1.0 if word == "white" else 0.0))
-                elif word == "gray":
-                    parts.append(GrayCode(axis))  # type: ignore[arg-type]
-                else:
-                    parts.extend(
-                        Fringes(count, n, axis)  # type: ignore[arg-type]
-                        for count, n in _parse_fringes(text, word, shifts)
-                    )
+                codes = _read_word(f'patterns "{text}"', word, axis, shifts)
+                parts += [code for code in codes if i == 0 or code.axes == (axis,)]
         return cls(panel, tuple(parts))
-
-    def _frames_of(self, part: Part) -> int:
-        return part.n_frames(1 if isinstance(part, Flat) else self.size(part.axis))
-
-    def _profile_axis(self, axis: Axis | None) -> Axis:
-        if axis is not None:
-            return axis
-        return self.axes[0] if self.axes else "u"
 
     def _text(self, axes: Sequence[Axis]) -> str:
         """Write the flat parts and those along `axes` in the language of :meth:`parse`."""
-        words: list[str] = []
-        sets: list[Fringes] = []
-        for part in (*self.parts, None):
-            if isinstance(part, Fringes):
-                if part.axis in axes:
-                    sets.append(part)
-                continue
-            if part is not None and not isinstance(part, Flat) and part.axis not in axes:
-                continue
-            if sets:
-                words.append(_write_fringes(sets))
-                sets = []
-            if isinstance(part, GrayCode):
-                words.append("gray" if part.inverse else "gray(no inverse)")
-            elif isinstance(part, Flat):
-                named = {1.0: "white", 0.0: "black"}
-                words.append(named.get(float(part.level), f"flat({part.level:g})"))
-        return "+".join(words)
+        shown = (part for part in self.parts if not part.axes or set(part.axes) & set(axes))
+        runs = groupby(shown, lambda part: type(part))
+        return "+".join(family.write_run(list(run)) for family, run in runs)
 
 
-def _parse_fringes(text: str, word: str, shifts: int) -> list[tuple[int, int]]:
-    """Read ``1,10,50@4`` as (count, shifts) pairs; an @ also holds for counts before it."""
-    pairs: list[tuple[int, int]] = []
-    last = shifts
-    for item in reversed(word.split(",")):
-        match = re.fullmatch(r"(\d{1,6})(?:@(\d{1,6}))?", item)
-        if match is None:
-            raise InputError(
-                f'patterns "{text}"', "white, black, gray or counts such as 1,10,50@4", repr(item)
-            )
-        last = int(match[2]) if match[2] else last
-        pairs.append((int(match[1]), last))
-    return pairs[::-1]
+@contextmanager
+def _located(where: str) -> Iterator[None]:
+    """Name the place of a part, and the key at fault, in the errors that it raises."""
+    try:
+        yield
+    except InputError as error:
+        _, _, key = error.where.partition(": ")
+        place = f"{where}.{key}" if key else where
+        raise InputError(place, error.expected, error.got) from None
 
 
-def _write_fringes(sets: Sequence[Fringes]) -> str:
-    """Write fringe sets as :func:`_parse_fringes` reads them, with as few @ as possible."""
-    items: list[str] = []
-    following = MIN_SHIFTS
-    for part in reversed(sets):
-        mark = "" if part.shifts == following else f"@{part.shifts}"
-        items.append(f"{part.count}{mark}")
-        following = part.shifts
-    return ",".join(reversed(items))
-
-
-def _require_keys(
-    where: str, table: Mapping[str, Any], required: set[str], optional: set[str]
-) -> None:
-    for key in sorted(required - set(table)):
-        raise InputError(f"{where}.{key}", "a value", "nothing: the key is missing")
-    for key in sorted(set(table) - required - optional, key=str):
-        raise InputError(f"{where}.{key}", f"only {sorted(required | optional)}", "this key")
-
-
-def _part_from_dict(where: str, table: object) -> Part:
+def _part_from_dict(where: str, table: object, folder: Path | None) -> Code:
     if not isinstance(table, Mapping):
         raise InputError(where, "a table with a kind", repr(table))
-    kind = table.get("kind")
-    if not isinstance(kind, str) or kind not in _KINDS:
-        raise InputError(f"{where}.kind", " or ".join(_KINDS), repr(kind))
+    family = CODES.get(table.get("kind"), f"{where}.kind")
     values = {key: value for key, value in table.items() if key != "kind"}
-    _require_keys(where, values, *_KEYS[kind])
-    try:
-        return _KINDS[kind](**values)
-    except InputError as error:
-        key = error.where.rsplit(": ", 1)[-1]
-        raise InputError(f"{where}.{key}", error.expected, error.got) from None
+    with _located(where):
+        return family.from_table(values, folder)
+
+
+def _read_word(where: str, word: str, axis: Axis, shifts: int) -> list[Code]:
+    """Return the codes of one word, from the first family that knows it."""
+    words: list[str] = []
+    for name in CODES:
+        family = CODES.get(name)
+        try:
+            codes = family.read_word(word, axis, shifts)
+        except InputError as error:
+            # A field at fault names itself, a word the text that it stands in.
+            place = error.where if ": " in error.where else where
+            raise InputError(place, error.expected, error.got) from None
+        if codes is not None:
+            return list(codes)
+        words += family.words
+    expected = " or ".join([", ".join(words[:-1]), words[-1]])
+    raise InputError(where, expected, quoted(word, words))

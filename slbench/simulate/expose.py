@@ -93,11 +93,12 @@ def radiance_batches(
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
     """Yield frame indices and their radiance images, a bounded number at a time."""
     projector = scene.rig.projector
-    for axis in scene.sequence.axes or ("u",):
-        indices, profiles = scene.sequence.profiles(axis)
-        panel = panel_response(profiles, projector.bit_depth, projector.gamma)
-        for part in transport.batches(len(indices)):
-            yield indices[part], transport.relight(panel[part], axis)
+    for along in scene.sequence.variations:
+        indices = scene.sequence.frames_along(along)
+        for part in transport.batches(len(indices), along=along):
+            shown = scene.sequence.shown(indices[part], along)
+            panel = panel_response(shown, projector.bit_depth, projector.gamma)
+            yield indices[part], transport.relight(panel, along)
 
 
 def noise_free_coordinates(scene: Scene, transport: LightTransport) -> dict[Axis, NDArray]:

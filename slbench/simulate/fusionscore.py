@@ -20,7 +20,7 @@ from slbench.capture.fusion import maximum_weights, pyramid_selection, selective
 from slbench.capture.stack import FocusStack, FusedCapture, modulation_weights
 from slbench.core.errors import InputError
 from slbench.detector.emva1288 import expected_dn
-from slbench.patterns import Fringes, relative_phase
+from slbench.patterns import Axis
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.expose import capture, exposure, radiance_batches
@@ -92,15 +92,13 @@ def score_fusion(
         If the patterns have no fringes.
     """
     sequence = scene.sequence
-    sets = [(p.count, i) for i, p in enumerate(sequence.parts) if isinstance(p, Fringes)]
-    if not sets:
+    finest = sequence.finest()
+    if finest is None:
         raise InputError("fusion score", "fringes among the patterns", sequence.name)
-    finest, part = max(sets)
-    own = [k for k, frame in enumerate(sequence.frames()) if frame.part_index == part]
-    fringes = sequence.parts[part]
-    assert isinstance(fringes, Fringes)
+    fringes, (axis,) = finest.code.fringe_count, finest.code.axes
+    assert fringes is not None  # by finest
     smooth = truth.smooth()
-    blur = _blur(truth, fringes, sequence.size(fringes.axis))
+    blur = _blur(truth, axis, fringes, sequence.size(axis))
     places = {"inside": smooth & (blur <= BLUR), "outside": smooth & (blur > BLUR)}
 
     middle = len(stack) // 2
@@ -117,18 +115,18 @@ def score_fusion(
                 "middle": stack.frame(middle, k).astype(np.float64),
             }
             for name, frame in shown.items():
-                squares[name] += ((frame - true) / top) ** 2 / len(sequence.frames())
-            if k in own:
+                squares[name] += ((frame - true) / top) ** 2 / sequence.n_frames
+            if k in finest.frames:
                 for name, frame in (shown | {"true": true}).items():
                     phases[name].append(frame)
-    exact = relative_phase(np.stack(phases["true"]))[0]
+    exact = finest.code.relative_phase(np.stack(phases["true"]))[0]
     results = {}
     for name, square in squares.items():
-        off = relative_phase(np.stack(phases[name]))[0] - exact
+        off = finest.code.relative_phase(np.stack(phases[name]))[0] - exact
         off = np.mod(off + np.pi, 2.0 * np.pi) - np.pi
         for place, mask in places.items():
             results[f"{name}_{place}"] = _sharpness(square[mask], off[mask])
-    return FusionScore(finest, **results)
+    return FusionScore(fringes, **results)
 
 
 def compare_fusions(
@@ -159,12 +157,12 @@ def _sharpness(square: Array, off: Array) -> Sharpness:
     )
 
 
-def _blur(truth: GroundTruth, fringes: Fringes, size: int) -> Array:
+def _blur(truth: GroundTruth, axis: Axis, fringes: int, size: int) -> Array:
     """Circles of confusion of both devices together, in periods of the fringes, (V, U)."""
-    coordinate = truth.panel[..., "uv".index(fringes.axis)]
+    coordinate = truth.panel[..., "uv".index(axis)]
     with np.errstate(invalid="ignore"):
         slope = np.hypot(*np.gradient(coordinate))  # panel pixels a camera pixel
-        return np.hypot(truth.projector_coc, slope * truth.camera_coc) * fringes.count / size
+        return np.hypot(truth.projector_coc, slope * truth.camera_coc) * fringes / size
 
 
 def stack_exposure(

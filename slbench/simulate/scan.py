@@ -185,10 +185,11 @@ def scan(
 
 def with_lit_frame(scene: Scene) -> Scene:
     """Return the scene with a fully lit frame first, unless its patterns have one."""
-    parts = scene.sequence.parts
-    if any(isinstance(part, Flat) and part.level == 1.0 for part in parts):
+    sequence = scene.sequence
+    if sequence.lit_frame is not None:
         return scene
-    return replace(scene, sequence=PatternSequence(scene.sequence.panel, (Flat(1.0), *parts)))
+    lit = PatternSequence(sequence.panel, (Flat(1.0), *sequence.parts))
+    return replace(scene, sequence=lit)
 
 
 def capture_stack(

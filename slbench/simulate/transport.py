@@ -29,6 +29,8 @@ Marginal = Literal["u", "v", "uv"]
 
 #: Pixels handled together in the product: their panel entries and sums stay in the cache.
 _TILE = 64
+#: Of a panel image's pixel on its way through the product: values, radiance, two copies.
+_PANEL_BYTES = 24
 #: Version of the file layout.
 _FORMAT = 1
 
@@ -210,21 +212,21 @@ class LightTransport:
             )
         return self.marginals[marginal]
 
-    def relight(self, profiles: ArrayLike, axis: Literal["u", "v"] = "u") -> NDArray[np.float32]:
-        """Return radiance images under patterns that vary along one panel axis.
+    def relight(self, panels: ArrayLike, along: Marginal = "u") -> NDArray[np.float32]:
+        """Return radiance images under patterns that vary along one panel axis, or both.
 
         Parameters
         ----------
-        profiles : (n, W) or (n, H) float
-            Panel radiance per column (axis "u") or row (axis "v"), in [0, 1].
-        axis : {"u", "v"}
+        panels : (n, W), (n, H) or (n, H, W) float
+            Panel radiance per column ("u"), row ("v") or pixel ("uv"), in [0, 1].
+        along : {"u", "v", "uv"}
 
         Returns
         -------
         (n, V, U) float32
             W / (mm^2 sr).
         """
-        return self._relight(profiles, axis)
+        return self.relight_images(panels) if along == "uv" else self._relight(panels, along)
 
     def relight_images(self, images: ArrayLike) -> NDArray[np.float32]:
         """Return radiance images (n, V, U) under any panel images (n, H, W); needs "uv"."""
@@ -286,9 +288,16 @@ class LightTransport:
         }
         return LightTransport(marginals, self.ambient[first:last], self.panel, self.samples)
 
-    def batches(self, n_frames: int, budget_bytes: int = 1 << 28) -> Iterator[slice]:
-        """Split `n_frames` so that each batch of float32 images stays within `budget_bytes`."""
-        step = max(1, budget_bytes // (4 * self.ambient.size))
+    def batches(
+        self, n_frames: int, budget_bytes: int = 1 << 28, along: Marginal = "u"
+    ) -> Iterator[slice]:
+        """Split `n_frames` that vary along `along` so that a batch stays within `budget_bytes`.
+
+        What counts is the float32 images, or the panel images behind them in double and single
+        precision, which are no larger than a row or column otherwise.
+        """
+        shown = _PANEL_BYTES * self.panel[0] * self.panel[1] if along == "uv" else 0
+        step = max(1, budget_bytes // max(4 * self.ambient.size, shown))
         for first in range(0, n_frames, step):
             yield slice(first, min(first + step, n_frames))
 

@@ -26,7 +26,7 @@ from slbench.capture.capture import Capture
 from slbench.capture.stack import WeightSource
 from slbench.core.errors import InputError
 from slbench.core.random import Word, derived_seed, generator
-from slbench.patterns import Axis, Flat, PhaseMap
+from slbench.patterns import Axis, PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene
 from slbench.simulate.expose import capture
@@ -195,11 +195,8 @@ def _dots(
     scene: Scene, nominal: Pose, remapping: Remapping, shots: Capture, phase: PhaseMap
 ) -> tuple[Dots, NDArray[np.intp], dict[Axis, Array]]:
     """Detect the dots of one position: where, which, and their panel coordinates by axis."""
-    lit = next(
-        i
-        for i, frame in enumerate(shots.sequence.frames())
-        if isinstance(frame.part, Flat) and frame.part.level == 1.0
-    )
+    lit = shots.sequence.lit_frame
+    assert lit is not None  # by _measured
     found = detect_dots(shots.frames[lit])
     dots = scene.objects[0].artefact.targets
     assert dots is not None  # by run_experiment

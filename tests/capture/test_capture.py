@@ -153,7 +153,9 @@ def test_frames_do_not_depend_on_how_they_are_batched(monkeypatch):
     together = capture(shaken, transport(), seed=5).frames
     batches = LightTransport.batches
     monkeypatch.setattr(
-        LightTransport, "batches", lambda self, n: batches(self, n, 2 * 4 * self.ambient.size)
+        LightTransport,
+        "batches",
+        lambda self, n, along: batches(self, n, 2 * 4 * self.ambient.size),
     )
     np.testing.assert_array_equal(capture(shaken, transport(), seed=5).frames, together)
 

@@ -22,7 +22,7 @@ from slbench.patterns import (
     relative_phase,
     unwrap,
 )
-from slbench.patterns._kernels import angle
+from slbench.patterns.kernels.fringes import angle
 
 ROUNDLESS = NoiseModel(step_dn=0.0)
 
@@ -32,12 +32,12 @@ def photograph(sequence, coordinates, a=120.0, b=100.0):
     rows = []
     for frame in sequence.frames():
         if isinstance(frame.part, Fringes):
-            size = sequence.size(frame.axis)
-            phase = 2 * np.pi * frame.part.count * (coordinates[frame.axis] + 0.5) / size
+            size = sequence.size(frame.along)
+            phase = 2 * np.pi * frame.part.count * (coordinates[frame.along] + 0.5) / size
             rows.append(a + b * np.cos(phase - 2 * np.pi * frame.index / frame.part.shifts))
         elif isinstance(frame.part, GrayCode):
-            profile = frame.part.profile(frame.index, sequence.size(frame.axis))
-            rows.append(a + b * (2 * profile[np.rint(coordinates[frame.axis]).astype(int)] - 1))
+            profile = frame.part.profile(frame.index, sequence.size(frame.along))
+            rows.append(a + b * (2 * profile[np.rint(coordinates[frame.along]).astype(int)] - 1))
         else:
             rows.append(
                 np.full_like(next(iter(coordinates.values())), a - b + 2 * b * frame.part.level)

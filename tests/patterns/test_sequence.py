@@ -26,7 +26,7 @@ def test_fringes_are_those_of_the_equation():
 @pytest.mark.parametrize("size", [2, 3, 60, 96, 128, 1000])
 def test_gray_code_neighbours_differ_in_one_bit_and_codes_are_unique(size):
     code = GrayCode(inverse=False)
-    bits = np.array([code.profile(k, size) for k in range(code.n_frames(size))])
+    bits = np.array([code.profile(k, size) for k in range(code.n_frames((size, 5)))])
     assert len(bits) == int(np.ceil(np.log2(size)))
     assert len(np.unique(bits, axis=1).T) == size
     np.testing.assert_array_equal(np.abs(np.diff(bits, axis=1)).sum(axis=0), 1)
@@ -34,7 +34,7 @@ def test_gray_code_neighbours_differ_in_one_bit_and_codes_are_unique(size):
 
 def test_gray_code_inverses_follow_their_bits():
     with_inverse, plain = GrayCode("v"), GrayCode("v", inverse=False)
-    for k in range(plain.n_frames(60)):
+    for k in range(plain.n_frames(PANEL)):
         np.testing.assert_array_equal(with_inverse.profile(2 * k, 60), plain.profile(k, 60))
         np.testing.assert_array_equal(with_inverse.profile(2 * k + 1, 60), 1 - plain.profile(k, 60))
 
@@ -54,12 +54,28 @@ def test_images_profiles_and_frames_tell_the_same_story():
         for k, row in zip(indices, values, strict=True):
             image = np.tile(row, (60, 1)) if axis == "u" else np.tile(row[:, None], (1, 96))
             np.testing.assert_array_equal(images[k], image)
-            assert sequence.profile(int(k))[0] == axis
+            np.testing.assert_array_equal(sequence.image(int(k)), image)
     assert sorted(seen) == list(range(sequence.n_frames))
     # Flat frames come with the first coded axis, here v.
-    assert sequence.profile(0)[0] == "v"
-    assert [f.axis for f in sequence.frames()] == [None] + ["v"] * 3 + ["u"] * 18
+    assert 0 in sequence.frames_along("v")
+    assert [f.along for f in sequence.frames()] == [None] + ["v"] * 3 + ["u"] * 18
     assert [f.index for f in sequence.frames()][:5] == [0, 0, 1, 2, 0]
+
+
+def test_what_others_ask_of_the_parts():
+    parts = (Flat(0.5), Fringes(8, 4, "v"), Flat(1.0), GrayCode("u"), Fringes(2), Fringes(8))
+    sequence = PatternSequence(PANEL, parts)
+    assert sequence.lit_frame == 5
+    assert PatternSequence(PANEL, parts[:2]).lit_frame is None
+    assert [placed.index for placed in sequence.fringe_sets()] == [1, 4, 5]
+    assert [placed.index for placed in sequence.fringe_sets("u")] == [4, 5]
+    assert sequence.fringe_sets("u")[0].frames == range(20, 23)
+    # The last of equals, and along one axis where that is asked for.
+    assert sequence.finest().code == Fringes(8)
+    assert sequence.finest("v").code == Fringes(8, 4, "v")
+    assert PatternSequence(PANEL, parts[2:4]).finest() is None
+    assert Fringes(8, 4, "v").extended(3) == Fringes(8, 7, "v")
+    assert GrayCode().extended(3) is None
 
 
 def test_profiles_of_an_axis_without_frames_are_empty():
@@ -165,7 +181,7 @@ def test_bad_axes(axes):
 
 def test_frame_index_outside_the_sequence():
     with pytest.raises(InputError, match=r"0\.\.2"):
-        PatternSequence.parse("1", PANEL).profile(3)
+        PatternSequence.parse("1", PANEL).image(3)
 
 
 def test_panel_response_quantises_then_applies_gamma():

@@ -228,7 +228,7 @@ def _traced(scene: Scene, chosen: Sequence[PatternSet], seed: int) -> Light:
     """Trace the scene, or each of its focus settings, for the axes that the sets code."""
     from slbench.simulate.render.trace import trace
 
-    axes = chosen[0].sequence.axes
+    axes = tuple(dict.fromkeys(along for one in chosen for along in one.sequence.variations))
     if scene.focus is None:
         return trace(scene, axes, seed=seed)
     return [trace(scene.focused(k), axes, seed=seed) for k in range(len(scene.focus))]

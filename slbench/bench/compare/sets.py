@@ -17,11 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-import numpy as np
-
 from slbench.core.errors import InputError
 from slbench.core.random import tagged_seed
-from slbench.patterns import Axis, Fringes, PatternSequence, decode
+from slbench.patterns import Axis, PatternSequence
 from slbench.scene.model import Scene
 
 Equal = Literal["frames", "photons"]
@@ -117,7 +115,7 @@ def pattern_sets(
         sequence = PatternSequence.parse(name, scene.sequence.panel, shifts, axes)
         try:
             # A sequence that cannot be unwrapped is refused before any light is traced.
-            decode(np.zeros((sequence.n_frames, 1, 1), np.uint8), sequence)
+            sequence.runs()
         except InputError as error:
             raise InputError(f"set {name}: {error.where}", error.expected, error.got) from None
         sets.append(PatternSet(name, sequence))
@@ -139,17 +137,17 @@ def with_frames(given: PatternSet, frames: int) -> PatternSet:
     sequence, missing = given.sequence, frames - given.frames
     if missing <= 0:
         return given
-    last = {part.axis: k for k, part in enumerate(sequence.parts) if isinstance(part, Fringes)}
+    last = {axis: sets[-1] for axis in sequence.axes if (sets := sequence.fringe_sets(axis))}
     if not last:
         return replace(given, note=f"keeps its {given.frames} frames: no fringes to shift further")
     parts, added = list(sequence.parts), []
-    for k, index in enumerate(last.values()):
-        part = parts[index]
-        assert isinstance(part, Fringes)  # by the choice of indices
+    for k, (axis, placed) in enumerate(last.items()):
         extra = math.ceil((missing - k) / len(last))
-        if extra:
-            parts[index] = replace(part, shifts=part.shifts + extra)
-            along = f" along {part.axis}" if len(last) > 1 else ""
-            added.append(f"{part.count} fringes{along} with {part.shifts + extra} shifts")
+        longer = placed.code.extended(extra)
+        if extra and longer is not None:
+            parts[placed.index] = longer
+            along = f" along {axis}" if len(last) > 1 else ""
+            count, shifts = longer.fringe_count, longer.n_frames(sequence.panel)
+            added.append(f"{count} fringes{along} with {shifts} shifts")
     grown = PatternSequence(sequence.panel, tuple(parts))
     return replace(given, sequence=grown, note=", ".join(added))

@@ -269,13 +269,13 @@ def _left_out(noise: Any, counts: list[int], width: int) -> dict[int, str]:
 def _predicted(text: str, width: int, noise: Any) -> Any:
     """Return the prediction for a sequence such as ``1,2,4`` or ``1,8@12``."""
     from slbench.design.fringes.design import predict
-    from slbench.patterns import Fringes, PatternSequence
+    from slbench.patterns import PatternSequence
 
-    parts = PatternSequence.parse(text, (width, width), shifts=noise.shifts, axes="u").parts
-    sets = [part for part in parts if isinstance(part, Fringes)]
-    if len(sets) < len(parts):
+    sequence = PatternSequence.parse(text, (width, width), shifts=noise.shifts, axes="u")
+    shifts = [len(placed.frames) for placed in sequence.fringe_sets("u")]
+    if len(shifts) < len(sequence.parts):
         raise InputError("--compare", "fringe sets alone", text)
-    return predict(width, noise, [part.count for part in sets], [part.shifts for part in sets])
+    return predict(width, noise, sequence.fringe_counts("u"), shifts)
 
 
 def _load_compiled(criterion: str, method: Literal["exact", "monte-carlo"]) -> None:

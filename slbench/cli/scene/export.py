@@ -24,8 +24,6 @@ def export(
     allow_modules: AllowModules = False,
 ) -> None:
     """Write a scene as Mitsuba XML, if stock plugins can express it."""
-    import numpy as np
-
     from slbench.patterns import panel_response
     from slbench.scene.file import load_scene
     from slbench.simulate.render.translate import export_xml
@@ -37,10 +35,7 @@ def export(
         projector = loaded.rig.projector
         lens = replace(projector.lens, aperture_radius_mm=0.0, natural_vignetting=False)
         loaded = replace(loaded, rig=loaded.rig.having(projector=replace(projector, lens=lens)))
-    axis, profile = loaded.sequence.profile(frame)
     projector = loaded.rig.projector
-    values = panel_response(profile, projector.bit_depth, projector.gamma)
-    shape = (projector.height, projector.width)
-    panel = np.broadcast_to(values if axis == "u" else values[:, None], shape)
+    panel = panel_response(loaded.sequence.image(frame), projector.bit_depth, projector.gamma)
     for written in export_xml(loaded, path, panel):
         print(written)

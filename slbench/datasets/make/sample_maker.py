@@ -17,7 +17,7 @@ import tempfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import scipy.linalg  # noqa: F401  (its BLAS is among those that environment() names)
@@ -219,10 +219,12 @@ def marginals_of(specification: Specification, scene: Scene) -> tuple[Marginal, 
     """Return the marginals of the light transport that samples keep."""
     if specification.marginals:
         return specification.marginals
-    axes = set(scene.sequence.axes) | {
-        axis for patterns in specification.patterns for axis in patterns.axes
-    }
-    return tuple(axis for axis in ("u", "v") if axis in axes)  # type: ignore[misc]
+    scenes = [
+        scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
+        for patterns in specification.patterns
+    ]
+    needed = {along for one in (scene, *scenes) for along in one.sequence.variations}
+    return tuple(along for along in get_args(Marginal) if along in needed)
 
 
 def _statistics(transport: LightTransport, truth: GroundTruth) -> dict[str, Any]:

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from slbench.capture.capture import Capture
+from slbench.core.checks import require_whole
 from slbench.core.errors import InputError
 from slbench.core.random import derived_seed, generator
 from slbench.datasets.read.stored import Sample
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
-from slbench.patterns.codes import require_whole
 
 Patterns = str | PatternSequence
 #: Patterns for a sample, drawn with the generator.

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from slbench.capture.capture import MANIFEST as CAPTURE
 from slbench.capture.capture import Capture
+from slbench.core.checks import require_whole
 from slbench.core.errors import InputError
 from slbench.core.io import read_json
 from slbench.datasets.store import sample, shards
 from slbench.datasets.store.storage import Storage
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
-from slbench.patterns.codes import require_whole
 from slbench.rig import Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene.file import load_scene, load_settings

@@ -21,6 +21,7 @@ import numba
 import numpy as np
 
 from slbench.capture.capture import Capture
+from slbench.core.checks import require_whole
 from slbench.core.errors import InputError
 from slbench.core.random import generator
 from slbench.datasets.read.reader import Dataset
@@ -28,7 +29,6 @@ from slbench.datasets.read.recipe import Chooser, Patterns, Recipe
 from slbench.datasets.read.stored import Sample
 from slbench.datasets.store.extras import extra
 from slbench.detector.emva1288 import Detector
-from slbench.patterns.codes import require_whole
 
 try:
     # DataLoader tells an iterable data set by its class, so the base is needed here.

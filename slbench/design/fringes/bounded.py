@@ -26,7 +26,7 @@ from slbench.core.errors import InputError
 from slbench.design.fringes.design import SequenceDesign, candidates, predict, usable
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.patterns import order_error_probability
-from slbench.patterns.codes import MIN_SHIFTS
+from slbench.patterns.fringes import MIN_SHIFTS
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

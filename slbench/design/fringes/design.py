@@ -38,8 +38,7 @@ from slbench.design.fringes.unwrapping import (
     sampled_sigma,
 )
 from slbench.patterns import Axis, Fringes, PatternSequence
-from slbench.patterns.codes import MIN_SHIFTS
-from slbench.patterns.sequence import MIN_PIXELS_PER_FRINGE
+from slbench.patterns.fringes import MIN_PIXELS_PER_FRINGE, MIN_SHIFTS
 
 Array = NDArray[np.float64]
 Method = Literal["exact", "monte-carlo"]

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.io import read_table, write_table
-from slbench.patterns import Axis, Fringes, relative_phase
+from slbench.patterns import Axis, Placed
 
 Array = NDArray[np.float64]
 Estimator = Literal["per-pixel", "pooled"]
@@ -251,50 +251,47 @@ def noise_of_captures(
     if len(captures) < 2:
         raise InputError("captures", "at least 2 repeats", len(captures))
     known = names or [f"captures[{k}]" for k in range(len(captures))]
-    parts = _fringe_parts(captures[0], axis)
-    shifts = {part.shifts for _, part in parts}
+    sets = _fringe_sets(captures[0], axis)
+    shifts = {len(own.frames) for own in sets}
     if len(shifts) > 1:
         raise InputError("captures", "one number of shifts for all fringes", sorted(shifts))
-    _check_repeats(captures, known, sorted(k for chosen, _ in parts for k in chosen))
-    counts = [part.count for _, part in parts]
+    _check_repeats(captures, known, sorted(k for own in sets for k in own.frames))
+    counts = [own.code.fringe_count for own in sets]
     usable = []
-    for chosen, _ in parts:
+    for own in sets:
         modulation = np.zeros(captures[0].frames.shape[1:])
         valid = np.ones(modulation.shape, bool)
         for shot in captures:
             top = shot.saturation_dn or 2**shot.bit_depth - 1
-            valid &= (shot.frames[chosen] < top).all(axis=0)
-            modulation += relative_phase(shot.frames[chosen])[1] / len(captures)
+            frames = shot.frames[own.frames]
+            valid &= (frames < top).all(axis=0)
+            modulation += own.code.relative_phase(frames)[1] / len(captures)
         usable.append(valid & (modulation >= min_modulation))
     if not usable[0].any():
         where = f"captures: {counts[0]} fringes"
         raise InputError(where, f"a pixel with modulation >= {min_modulation} DN", "none")
     enough = 0.5 * usable[0].sum()
-    measured = [(usable[0] & own).sum() >= enough for own in usable]
+    measured = [(usable[0] & seen).sum() >= enough for seen in usable]
     common = np.logical_and.reduce(
-        [own for own, good in zip(usable, measured, strict=True) if good]
+        [seen for seen, good in zip(usable, measured, strict=True) if good]
     )
     if not common.any():
         raise InputError("captures", "a pixel that all fringe sets are measured on", "none")
-    sigma = np.full((len(parts), 1), np.inf)
-    for row, (chosen, _), good in zip(sigma, parts, measured, strict=True):
+    sigma = np.full((len(sets), 1), np.inf)
+    for row, own, good in zip(sigma, sets, measured, strict=True):
         if good:
-            phases = [relative_phase(shot.frames[chosen])[0][common] for shot in captures]
+            stacks = (shot.frames[own.frames] for shot in captures)
+            phases = [own.code.relative_phase(stack)[0][common] for stack in stacks]
             row[0] = estimate_noise(phases, estimator).sigma_rad
     return PhaseNoise(np.array(counts, np.int64), sigma, np.zeros(1), shifts.pop())
 
 
-def _fringe_parts(shot: Capture, axis: Axis) -> list[tuple[list[int], Fringes]]:
-    """Return frames and part of every fringe set along the axis, ascending by fringes."""
-    frames = shot.sequence.frames()
-    parts = [
-        ([k for k, frame in enumerate(frames) if frame.part_index == index], part)
-        for index, part in enumerate(shot.sequence.parts)
-        if isinstance(part, Fringes) and part.axis == axis
-    ]
-    if not parts:
+def _fringe_sets(shot: Capture, axis: Axis) -> list[Placed]:
+    """Return every fringe set along the axis, ascending by fringes."""
+    sets = shot.sequence.fringe_sets(axis)
+    if not sets:
         raise InputError("captures", f"fringes along {axis}", shot.sequence.name)
-    return sorted(parts, key=lambda entry: entry[1].count)
+    return sorted(sets, key=lambda own: own.code.fringe_count or 0)
 
 
 def _check_repeats(

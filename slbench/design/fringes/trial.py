@@ -35,7 +35,7 @@ from slbench.core.random import generator, tagged_seed
 from slbench.design.fringes.chain import any_error, unwrapping_chain
 from slbench.design.fringes.design import SequenceDesign
 from slbench.design.fringes.noise import PhaseNoise, estimate_noise
-from slbench.patterns import Fringes, NoiseModel, relative_phase
+from slbench.patterns import NoiseModel
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.expose import capture
@@ -291,7 +291,7 @@ class _ModelNoise:
         """Take a capture whose noise is `gain` times that of single frames."""
         if not self._captures:
             self._sum = np.zeros((len(shots.frames), len(self._pixels)))
-            self._noise, self._frames = shots.noise or NoiseModel(), shots.sequence.frames()
+            self._noise, self._sets = shots.noise or NoiseModel(), shots.sequence.fringe_sets()
         self._sum += shots.frames.reshape(len(shots.frames), -1)[:, self._pixels]
         self._gain = self._gain + gain
         self._captures += 1
@@ -299,10 +299,10 @@ class _ModelNoise:
     def sigma(self) -> Array:
         """Return the phase noise of the K sets, (K, P), rad (:mod:`slbench.patterns.phase`)."""
         rows = []
-        for index in sorted({f.part_index for f in self._frames if isinstance(f.part, Fringes)}):
-            own = [k for k, frame in enumerate(self._frames) if frame.part_index == index]
+        for placed in self._sets:
+            own = placed.frames
             mean_frames = self._sum[own, np.newaxis] / self._captures
-            phase, modulation, mean = (part[0] for part in relative_phase(mean_frames))
+            phase, modulation, mean = (part[0] for part in placed.code.relative_phase(mean_frames))
             variance = self._noise.variance(mean)
             if len(own) == 3:  # the third harmonic of shot noise
                 third = self._noise.gain_dn_per_e * modulation * np.cos(3.0 * phase)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.patterns import Fringes, relative_phase
+from slbench.patterns import Axis
 from slbench.report.plots.draw import draw_image
 from slbench.score.points import point_errors
 from slbench.simulate.scan import Scan
@@ -77,23 +77,17 @@ def panels(scan: Scan) -> list[Callable[[Any], None]]:
     ]
 
 
-def _frame_and_phase(scan: Scan, axis: str) -> tuple[tuple[int, NDArray | None], str]:
+def _frame_and_phase(scan: Scan, axis: Axis) -> tuple[tuple[int, NDArray | None], str]:
     """Choose the frame to show: the first of the finest fringe set, else the last one."""
-    frames = scan.scene.sequence.frames()
-    first: dict[int, int] = {}
-    for k, frame in enumerate(frames):
-        if isinstance(frame.part, Fringes) and frame.axis == axis:
-            first.setdefault(frame.part_index, k)
-    if not first:
-        return (len(frames) - 1, None), f"Frame {len(frames) - 1}"
-    part_index = max(first, key=lambda i: scan.scene.sequence.parts[i].count)  # type: ignore[union-attr]
-    part = scan.scene.sequence.parts[part_index]
-    assert isinstance(part, Fringes)
-    start = first[part_index]
-    stack = scan.capture.frames[start : start + part.shifts]
-    phase = relative_phase(stack)[0]
+    finest = scan.scene.sequence.finest(axis)
+    if finest is None:
+        last = scan.scene.sequence.n_frames - 1
+        return (last, None), f"Frame {last}"
+    own = finest.frames
+    start, shifts, count = own.start, len(own), finest.code.fringe_count
+    phase = finest.code.relative_phase(scan.capture.frames[own])[0]
     phase[~scan.phase.mask] = np.nan
-    title = f"Frame {start}: {part.count} fringes, first of {part.shifts} shifts"
+    title = f"Frame {start}: {count} fringes, first of {shifts} shifts"
     return (start, phase), title
 
 

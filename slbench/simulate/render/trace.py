@@ -52,8 +52,8 @@ def trace(
     ----------
     scene : Scene
     marginals : tuple of {"u", "v", "uv"}, optional
-        What to keep: sums over panel columns, over rows, or the full matrix.  By default the
-        axes that the scene's patterns code.
+        What to keep: sums over panel columns, over rows, or the full matrix.  By default what
+        the scene's patterns vary along.
     samples : int, optional
         Monte Carlo samples a pixel, the scene's if not given; rounded up to a full grid of
         strata.
@@ -71,7 +71,7 @@ def trace(
     BackendError
         If Mitsuba cannot run here.
     """
-    chosen: Axes = marginals or scene.sequence.axes or ("u",)
+    chosen: Axes = marginals or scene.sequence.variations
     count = scene.samples if samples is None else samples
     if not 1 <= count <= 65536:
         raise InputError("samples", "1 to 65536", count)

@@ -1,12 +1,6 @@
-"""Compiled loops behind :func:`slbench.patterns.decode.decode`.
+"""Compiled loops that decode the fringe sets of one axis in one pass over their frames.
 
-The decoder reads every frame once and writes every result once: pixels are handled in
-blocks whose intermediate sums stay in the first-level cache, one block a thread at a time,
-with loops that LLVM turns into vector instructions.  That needs an arc tangent without
-branches or calls, hence the polynomial below.
-
-Floating-point contraction and reassociation are allowed; NaN and infinity keep their
-meaning, since they mark pixels that cannot be decoded.
+Vector instructions need an arc tangent without branches or calls, hence the polynomial below.
 """
 
 import math
@@ -15,15 +9,13 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-BLOCK = 512  # pixels; the block's float64 sums fit the first-level cache with room to spare
-_PAD = 16  # keeps the rows of the scratch array off each other's cache sets
+from slbench.patterns.kernels.blocks import BLOCK, FAST, PAD
 
 # A pixel is not told apart from the other end of the panel within this many standard
 # deviations (fringes alone code the panel as a circle).
 END_SIGMAS = 3.0
 
 TWO_PI = 2.0 * math.pi
-_FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 # atan(t)/t as a polynomial in t^2 on [0, 1]: Chebyshev interpolation of degree 17, computed
 # in extended precision.  Its error is below 1e-15.
@@ -49,7 +41,7 @@ _ATAN = (
 )
 
 
-@njit(fastmath=_FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def angle(y: float, x: float) -> float:
     """Return atan2(y, x) in [0, 2 pi) to 2e-15 rad, NaN for (0, 0), without branches."""
     ax, ay = abs(x), abs(y)
@@ -79,7 +71,7 @@ def angle(y: float, x: float) -> float:
     return TWO_PI - r if y < 0.0 else r
 
 
-@njit(fastmath=_FAST, error_model="numpy", inline="always")
+@njit(fastmath=FAST, error_model="numpy", inline="always")
 def _accumulate(
     frames: Any,
     first: int,
@@ -118,7 +110,7 @@ def _accumulate(
             sine[i] += s * value
 
 
-@njit(parallel=True, fastmath=_FAST, error_model="numpy", nogil=True, cache=True)
+@njit(parallel=True, fastmath=FAST, error_model="numpy", nogil=True, cache=True)
 def decode_fringes(
     frames: Any,
     checked: Any,
@@ -134,8 +126,9 @@ def decode_fringes(
     mean: Any,
     mask: Any,
     relative: Any,
+    residual: Any,
 ) -> None:
-    """Decode the fringe sets of one panel axis; the last six arguments are written.
+    """Decode the fringe sets of one panel axis; the last seven arguments are written.
 
     Parameters
     ----------
@@ -150,7 +143,7 @@ def decode_fringes(
     size : float
         Panel pixels along the axis.
     reference : (P,) float64
-        One-fringe phase from a Gray code, or shape (0,) when the first set has one fringe.
+        One-fringe phase from a coarser code, or shape (0,) when the first set has one fringe.
     noise : (3,) float64
         Noise variance at the offset, variance per DN above it, offset.
     limits : (3,) float64
@@ -162,11 +155,15 @@ def decode_fringes(
     mask : (P,) bool
     relative : (S, P) float64
         Relative phase of every set, or shape (S, 0) when it is not wanted.
+    residual : (S, P) float64
+        Fringe order of every set less the whole number it is rounded to, turns, or shape (S, 0);
+        not written for a first set that is its own reference.
     """
     n_pixels = frames.shape[1]
     n_sets = sets.shape[0]
     closed = reference.shape[0] == 0  # the fringes alone: the panel's two ends coincide
     keep = relative.shape[1] > 0
+    keep_residual = residual.shape[1] > 0
     alpha, beta, offset = noise[0], noise[1], noise[2]
     saturation, least_square, least_ratio = limits[0], limits[1], limits[2]
 
@@ -174,7 +171,7 @@ def decode_fringes(
         start = block * BLOCK
         stop = min(start + BLOCK, n_pixels)
         n = stop - start
-        scratch = np.empty((6, BLOCK + _PAD))
+        scratch = np.empty((6, BLOCK + PAD))
         total, cosine, sine = scratch[0], scratch[1], scratch[2]
         phase, absolute, faults = scratch[3], scratch[4], scratch[5]
 
@@ -207,10 +204,18 @@ def decode_fringes(
                 ratio = float(fringes)
                 if s > 0:
                     ratio /= sets[s - 1, 2]
+                    if keep_residual:
+                        for i in range(n):
+                            exact = (ratio * absolute[i] - phase[i]) / TWO_PI
+                            residual[s, start + i] = exact - np.floor(exact + 0.5)
                     for i in range(n):
                         order = np.floor((ratio * absolute[i] - phase[i]) / TWO_PI + 0.5)
                         absolute[i] = TWO_PI * order + phase[i]
                 else:
+                    if keep_residual:
+                        for i in range(n):
+                            exact = (ratio * reference[start + i] - phase[i]) / TWO_PI
+                            residual[s, start + i] = exact - np.floor(exact + 0.5)
                     for i in range(n):
                         order = np.floor((ratio * reference[start + i] - phase[i]) / TWO_PI + 0.5)
                         absolute[i] = TWO_PI * order + phase[i]
@@ -242,62 +247,3 @@ def decode_fringes(
             modulation[start + i] = b
             mean[start + i] = a
             mask[start + i] = good
-
-
-@njit(parallel=True, fastmath=_FAST, error_model="numpy", nogil=True, cache=True)
-def decode_gray(
-    frames: Any,
-    first: int,
-    bits: int,
-    inverse: bool,
-    threshold: Any,
-    column: Any,
-    contrast: Any,
-    mean: Any,
-) -> None:
-    """Decode a Gray code of `bits` bits; the last three arguments are written.
-
-    Parameters
-    ----------
-    frames : (F, P) uint8, uint16, float32 or float64
-        Frames, one row each; the code begins at frame `first`.
-    threshold : (P,) float64
-        Level that separates the two states; of shape (0,) when inverses follow the bits.
-    column : (P,) float64
-        Decoded column or row, which may lie outside a panel that is no power of two wide.
-    contrast : (P,) float64
-        Half the difference between lit and unlit, for the second weakest bit: neighbouring
-        columns differ in one bit, so one may be undecided, but not two.
-    mean : (P,) float64
-        Mean of lit and unlit (with inverses) or the threshold.
-    """
-    n_pixels = frames.shape[1]
-    for block in prange((n_pixels + BLOCK - 1) // BLOCK):
-        start = block * BLOCK
-        stop = min(start + BLOCK, n_pixels)
-        n = stop - start
-        scratch = np.empty((4, BLOCK + _PAD))
-        state, weakest, second, average = scratch[0], scratch[1], scratch[2], scratch[3]
-        number = column[start:stop]
-        for i in range(n):
-            state[i] = 0.0
-            number[i] = 0.0
-            weakest[i] = np.inf
-            second[i] = np.inf
-            average[i] = 0.0
-        for bit in range(bits):
-            lit = frames[first + (2 * bit if inverse else bit), start:stop]
-            unlit = frames[first + (2 * bit + 1 if inverse else bit), start:stop]
-            for i in range(n):
-                high = float(lit[i])
-                low = float(unlit[i]) if inverse else 2.0 * threshold[start + i] - high
-                half = 0.5 * (high - low)
-                # Gray to binary: each binary digit is the running parity of the bits.
-                state[i] = 1.0 - state[i] if half > 0.0 else state[i]
-                number[i] = 2.0 * number[i] + state[i]
-                second[i] = min(second[i], max(weakest[i], abs(half)))
-                weakest[i] = min(weakest[i], abs(half))
-                average[i] += 0.5 * (high + low)
-        for i in range(n):
-            contrast[start + i] = second[i] if bits > 1 else weakest[i]
-            mean[start + i] = average[i] / bits

@@ -1,0 +1,47 @@
+"""The panel's response: from pattern values to radiance."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slbench.core.checks import require_whole
+from slbench.core.errors import InputError
+
+
+def panel_response(
+    values: ArrayLike, bit_depth: int | None = None, gamma: float = 1.0
+) -> NDArray[np.float64]:
+    """Return the radiance that panel values give, as a fraction of full white.
+
+    The value is quantised to the panel's levels and then raised to the power `gamma`.  A
+    micromirror device is linear (gamma 1).
+
+    Parameters
+    ----------
+    values : array_like
+        Pattern values in [0, 1], any shape.
+    bit_depth : int or None
+        Bits a pixel, 1..16; None for a panel without quantisation.
+    gamma : float
+        Exponent > 0.
+
+    Returns
+    -------
+    ndarray of the shape of `values`
+
+    Raises
+    ------
+    InputError
+        For values outside [0, 1] or parameters outside their range.
+    """
+    value = np.asarray(values, dtype=np.float64)
+    if not np.all((value >= 0.0) & (value <= 1.0)):
+        raise InputError("panel_response: values", "numbers in [0, 1]", "others")
+    if not (np.isfinite(gamma) and gamma > 0.0):
+        raise InputError("panel_response: gamma", "a number > 0", gamma)
+    if bit_depth is not None:
+        require_whole("panel_response: bit_depth", bit_depth, 1)
+        if bit_depth > 16:
+            raise InputError("panel_response: bit_depth", "1..16 bits or None", bit_depth)
+        top = 2**bit_depth - 1
+        value = np.rint(value * top) / top
+    return value if gamma == 1.0 else value**gamma

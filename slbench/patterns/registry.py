@@ -1,0 +1,16 @@
+"""The families of codes, by the ``kind`` that tables name."""
+
+from slbench.core.registry import Registry
+from slbench.patterns.base import Code
+
+#: Asked in this order for the words of the short text; packages add theirs by entry points.
+CODES: Registry[type[Code]] = Registry(
+    "pattern code",
+    "slbench.codes",
+    {
+        "flat": "slbench.patterns.flat:Flat",
+        "gray": "slbench.patterns.gray:GrayCode",
+        "fringes": "slbench.patterns.fringes:Fringes",
+    },
+    base="slbench.patterns.base:Code",
+)
