@@ -254,6 +254,57 @@ def test_strided_and_big_endian_frames():
     np.testing.assert_array_equal(decode(swapped, sequence).coordinate["u"], expected)
 
 
+@pytest.mark.parametrize("text", ["1,6@4,30@5", "gray+30@5"])
+def test_evidence_is_the_residual_of_every_fringe_order(text):
+    sequence = PatternSequence.parse(text, (640, 480))
+    rng = np.random.default_rng(6)
+    truth = {"u": rng.uniform(30, 600, (20, 30))}
+    clean = photograph(sequence, truth)
+    frames = clean + rng.normal(0, 8, clean.shape)
+    plain = decode(frames, sequence, keep_relative=True)
+    found = decode(frames, sequence, keep_relative=True, keep_evidence=True)
+    assert plain.evidence == {}
+    np.testing.assert_array_equal(found.coordinate["u"], plain.coordinate["u"])
+    phases = found.relative["u"]
+    if text.startswith("gray"):
+        column = np.rint(truth["u"])  # the noise turns no bit
+        absolute, fringes, first = 2 * np.pi * (column + 0.5) / 640, 1, 0
+        assert set(found.evidence) == {0, 1}
+    else:
+        (fringes, absolute), first = phases[0], 1
+        assert set(found.evidence) == {1, 2}  # the first set is its own reference
+    for part, (count, phase) in enumerate(phases[first:], start=1):
+        order = (count / fringes * absolute - phase) / (2 * np.pi)
+        residual = found.evidence[part]["order_residual"]
+        # Double precision of an order up to 30.
+        np.testing.assert_allclose(residual, order - np.rint(order), atol=1e-11)
+        assert 0.001 < np.std(residual) < 0.2  # the noise is in it, and no order is lost
+        absolute, fringes = unwrap(phase, count, absolute, fringes), count
+
+
+def test_evidence_of_a_wrong_count_is_a_uniform_residual():
+    shown = PatternSequence.parse("1,37@4", (640, 480))
+    truth = {"u": np.linspace(5, 630, 4000).reshape(40, 100)}
+    told = PatternSequence.parse("1,30@4", (640, 480))
+    residual = decode(photograph(shown, truth), told, keep_evidence=True).evidence[1]
+    # Seven fringes too many go through all residuals seven times: uniform, deviation 1/sqrt(12).
+    assert np.std(residual["order_residual"]) == pytest.approx(1 / np.sqrt(12), rel=0.02)
+
+
+@pytest.mark.parametrize("inverse", [True, False])
+def test_evidence_of_a_gray_code_is_the_contrast_of_every_bit(inverse):
+    sequence = PatternSequence((8, 5), (Flat(1.0), Flat(0.0), GrayCode("u", inverse)))
+    frames = photograph(sequence, {"u": np.arange(8.0)[np.newaxis]})
+    first = 2 + (2 if inverse else 1)
+    frames[first, 0, 5] += 30.0  # the second bit of one pixel
+    contrast = decode(frames, sequence, keep_evidence=True).evidence[2]["bit_contrast"]
+    expected = np.full((3, 1, 8), 100.0)
+    # Unlit in column 5 (Gray 111: lit) or lit: a frame 30 DN off changes half the difference to its
+    # inverse by 15, that to the threshold by all of it.
+    expected[1, 0, 5] += 15.0 if inverse else 30.0
+    np.testing.assert_allclose(contrast, expected)
+
+
 GOOD = PatternSequence.parse("1,10", (400, 300))
 
 
