@@ -21,6 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import qr
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from slbench.core.errors import InputError
 
@@ -74,16 +75,8 @@ class PolynomialForm:
 
     def design(self, inputs: Array) -> Array:
         """Return the value of every term at inputs (n, k), (n, p), column by column in memory."""
-        columns = np.ones((len(self), len(inputs)))
-        place = {powers: i for i, powers in enumerate(self.exponents)}
-        for i, powers in enumerate(self.exponents):
-            if not any(powers):
-                continue
-            # A term is an earlier one times one input: every form holds its terms' divisors.
-            j = next(j for j, e in enumerate(powers) if e)
-            divisor = (*powers[:j], powers[j] - 1, *powers[j + 1 :])
-            np.multiply(columns[place[divisor]], inputs[:, j], out=columns[i])
-        return columns.T
+        features, order = _features(self)
+        return features.transform(inputs)[:, order]
 
     def gradient(self, inputs: Array, coefficients: Array) -> Array:
         """Return the derivative of the polynomial by its inputs.
@@ -109,6 +102,16 @@ class PolynomialForm:
                     slopes[place[divisor]] += powers[j] * coefficients[i]
             result.append(design @ slopes)
         return np.stack(result, axis=-1)
+
+
+@cache
+def _features(form: PolynomialForm) -> tuple[PolynomialFeatures, list[int]]:
+    """Return what computes the terms of a form, and its columns in the form's order."""
+    features = PolynomialFeatures(
+        max(map(sum, form.exponents)), interaction_only=form.name == "M2", order="F"
+    ).fit(np.zeros((1, len(form.variables))))
+    place = {tuple(powers): i for i, powers in enumerate(features.powers_.tolist())}
+    return features, [place[powers] for powers in form.exponents]
 
 
 @cache
@@ -173,17 +176,16 @@ class Standardisation:
         InputError
             Naming an input that is the same in all points.
         """
-        mean = inputs.mean(axis=0)
-        scale = inputs.std(axis=0)
+        scaler = StandardScaler().fit(inputs)
         for name, low, high, middle in zip(
-            names, inputs.min(axis=0), inputs.max(axis=0), mean, strict=True
+            names, inputs.min(axis=0), inputs.max(axis=0), scaler.mean_, strict=True
         ):
             if not high - low > 1e-12 * abs(middle):
                 expected = "values that differ from point to point"
                 raise InputError(
                     f"calibration points: {name}", expected, f"{low:g} in all {len(inputs)}"
                 )
-        return cls(mean, scale)
+        return cls(scaler.mean_, scaler.scale_)
 
     def apply(self, inputs: Array) -> Array:
         """Standardise inputs (n, k)."""
