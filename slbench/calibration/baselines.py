@@ -13,11 +13,13 @@ values.  That is the table's entry of that very pixel: no cells, no interpolated
 
 *Pinholes* are in :mod:`~slbench.calibration.models.pinhole`.
 
-Methods are scored on heights that none of them was fitted to.
+Methods are scored on heights that none of them was fitted to.  Further ones are rows of
+:data:`calibration_baselines`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -31,6 +33,7 @@ from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import Axes, checked_inputs
 from slbench.calibration.selection import median_absolute, rms, select_models
 from slbench.core.errors import InputError
+from slbench.core.registry import Registry
 
 Array = NDArray[np.float64]
 TableKind = Literal["linear", "reciprocal"]
@@ -44,6 +47,61 @@ class Predictor(Protocol):
 
     def predict(self, points: ArrayLike) -> Array:
         """Return world points (n, 3), mm, NaN where the method has none."""
+
+
+@dataclass(frozen=True)
+class Training:
+    """What a baseline is fitted to.
+
+    Parameters
+    ----------
+    points : CalibrationPoints
+    planes : (n,) int
+        Height that each point belongs to; see :func:`plane_labels`.
+    camera_size, panel_size : (int, int)
+        Width and height, px.
+    axes : {"u", "uv"}
+        Panel axes that inputs of ``predict`` have.
+    """
+
+    points: CalibrationPoints
+    planes: NDArray
+    camera_size: tuple[int, int]
+    panel_size: tuple[int, int]
+    axes: Axes
+
+
+#: Methods to compare with, by name: a row fits one, or returns None where such points do not
+#: allow it.  To add one, write its function and name it here; outside slbench the entry-point
+#: group ``slbench.calibration_baselines``, or a module that a scene names.
+calibration_baselines: Registry[Callable[[Training], Predictor | None]] = Registry(
+    "calibration baseline",
+    "slbench.calibration_baselines",
+    {
+        "linear table": "slbench.calibration.baselines:linear_table",
+        "reciprocal table": "slbench.calibration.baselines:reciprocal_table",
+        "pinholes": "slbench.calibration.baselines:pinholes",
+    },
+    base="collections.abc:Callable",
+)
+
+
+def linear_table(training: Training) -> Predictor:
+    """Fit the look-up table with straight lines."""
+    return PhaseHeightTable("linear").fit(training.points, training.planes)
+
+
+def reciprocal_table(training: Training) -> Predictor:
+    """Fit the look-up table with the reciprocal relation."""
+    return PhaseHeightTable("reciprocal").fit(training.points, training.planes)
+
+
+def pinholes(training: Training) -> Predictor | None:
+    """Calibrate two pinholes, where both panel coordinates are known."""
+    if not np.all(np.isfinite(training.points.pixels)):
+        return None
+    model = PinholeModel(training.camera_size, training.panel_size, training.axes)
+    return model.fit(training.points)
 
 
 class PhaseHeightTable:
@@ -233,6 +291,7 @@ def compare_methods(
     planes: NDArray | None = None,
     held_out: tuple[int, ...] | None = None,
     axes: Axes = "u",
+    baselines: Sequence[str] | None = None,
     seed: int = 0,
 ) -> Comparison:
     """Score polynomial, look-up tables and pinholes on the same heights held out.
@@ -250,6 +309,8 @@ def compare_methods(
     axes : {"u", "uv"}
         Panel axes that the polynomial uses.  The pinholes' calibration needs both where they
         are known, and so the pinholes are left out where ``v_p`` is not.
+    baselines : sequence of str, optional
+        Names of :data:`calibration_baselines`; all by default.
     seed : int
         Of the polynomial's split.
 
@@ -272,13 +333,12 @@ def compare_methods(
         expected = f"heights to hold out, and {_LEAST_HEIGHTS} or more to fit to"
         raise InputError("calibration points", expected, f"{len(names)} heights")
     train, rest = points.select(~test), points.select(test)
-    methods: dict[str, Predictor] = {
-        "polynomial": select_models(train, axes=axes, seed=seed).model,
-        "linear table": PhaseHeightTable("linear").fit(train, labels[~test]),
-        "reciprocal table": PhaseHeightTable("reciprocal").fit(train, labels[~test]),
-    }
-    if np.all(np.isfinite(points.pixels)):
-        methods["pinholes"] = PinholeModel(camera_size, panel_size, axes).fit(train)
+    training = Training(train, labels[~test], camera_size, panel_size, axes)
+    methods: dict[str, Predictor] = {"polynomial": select_models(train, axes=axes, seed=seed).model}
+    for name in calibration_baselines.names() if baselines is None else baselines:
+        fitted = calibration_baselines.get(name)(training)
+        if fitted is not None:
+            methods[name] = fitted
     errors = {}
     for name, method in methods.items():
         errors[name] = method.predict(rest.inputs(axes)) - rest.world

@@ -40,6 +40,7 @@ from slbench.calibration.models.polynomials import (
     Basis,
     PolynomialForm,
     Standardisation,
+    calibration_models,
     count_different,
     polynomial_form,
 )
@@ -289,7 +290,8 @@ def select_models(
         "tolerance": tolerance,
     }
     if not forms or len(set(forms)) != len(forms):
-        raise InputError("forms", f"different ones of {', '.join(FORMS)}", list(forms) or "none")
+        known = ", ".join(calibration_models.names())
+        raise InputError("forms", f"different ones of {known}", list(forms) or "none")
     candidates = sorted((polynomial_form(name, axes) for name in forms), key=len)
     inputs = points.inputs(axes)
     train, held = split(len(points), validation, seed)
@@ -299,26 +301,33 @@ def select_models(
     standardisation = Standardisation.of(inputs[train], candidates[-1].variables)
     standardised = standardisation.apply(inputs[train])
     _check_enough(standardised, candidates, len(points))
-    basis = _basis(standardised, candidates)
-    held_design = candidates[-1].design(standardisation.apply(inputs[held]))
+    bases = _bases(standardised, candidates)
+    widest_form = candidates[-1]
+    held_inputs = standardisation.apply(inputs[held])
+    held_design = widest_form.design(held_inputs)
+    nested = all(form.exponents == widest_form.exponents[: len(form)] for form in candidates)
+    if multivariate and not nested:
+        names = ", ".join(form.name for form in candidates)
+        raise InputError("multivariate", "forms whose terms begin those of the widest", names)
     truth = points.world[held]
 
     def one_fit(task: tuple[PolynomialForm, int]) -> _Candidate:
         form, k = task
-        part = basis.leading(form)
+        part = bases[form.name]
         fit = irls(part.q, y[:, k], **options)
         terms = in_terms(part, fit.coefficients, fit.variance)
         one = CoordinateModel(form, *terms, fit.residual_std)
-        errors = held_design[:, : len(form)] @ one.coefficients - truth[:, k]
+        held_terms = held_design[:, : len(form)] if nested else form.design(held_inputs)
+        errors = held_terms @ one.coefficients - truth[:, k]
         how = (fit.residuals, fit.leverage, errors, fit.iterations, fit.converged)
         return _Candidate(one, *how)
 
     def joint_fit(forms: Sequence[PolynomialForm]) -> list[_Candidate]:
-        widest = basis.leading(max(forms, key=len))
+        widest = bases[max(forms, key=len).name]
         fit = joint_irls(widest.q, y, [len(form) for form in forms], **options)
         result = []
         for k, form in enumerate(forms):
-            one = _of_joint(fit, k, basis.leading(form))
+            one = _of_joint(fit, k, bases[form.name])
             errors = held_design[:, : len(form)] @ one.coefficients - truth[:, k]
             # Leverages are those of the widest form: of forms that differ, bounds from above.
             how = (fit.leverage, errors, fit.iterations, fit.converged)
@@ -373,14 +382,24 @@ def _check_enough(standardised: Array, candidates: list[PolynomialForm], n: int)
     raise InputError(f"calibration points: model {widest.name}", expected, got)
 
 
-def _basis(standardised: Array, candidates: list[PolynomialForm]) -> Basis:
-    """Decompose the widest candidate; a smaller one that cannot be fitted is named first."""
+def _bases(standardised: Array, candidates: list[PolynomialForm]) -> dict[str, Basis]:
+    """Decompose the widest candidate, and those whose terms do not begin its own.
+
+    A smaller one that cannot be fitted is named first.
+    """
+    wide = candidates[-1]
     try:
-        return Basis.of(standardised, candidates[-1])
+        widest = Basis.of(standardised, wide)
     except InputError:
         for form in candidates[:-1]:
             Basis.of(standardised, form)
         raise
+    return {
+        form.name: widest.leading(form)
+        if form.exponents == wide.exponents[: len(form)]
+        else Basis.of(standardised, form)
+        for form in candidates
+    }
 
 
 def _of_joint(joint: JointFit, k: int, basis: Basis) -> CoordinateModel:

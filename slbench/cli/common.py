@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from slbench.core.errors import InputError
+from slbench.core.registry import Registry
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random draw.")]
@@ -47,6 +48,20 @@ def check_file(path: Path, suffix: str) -> None:
     """Refuse a file to write of another kind, or a folder, before the work is done."""
     if path.suffix.lower() != suffix or path.is_dir():
         raise InputError("--out", f"the name of a file that ends in {suffix}", path)
+
+
+def listed(text: str, registry: Registry[Any], option: str) -> list[str]:
+    """Return the names of a registry that an option lists by commas.
+
+    Raises
+    ------
+    InputError
+        Naming the option, for a name that there is not.
+    """
+    names = [name.strip() for name in text.split(",")]
+    for name in names:
+        registry.get(name, option)
+    return names
 
 
 @contextmanager

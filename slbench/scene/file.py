@@ -13,7 +13,7 @@ anything else (lists too) is replaced.  What several scenes share thus stands on
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -225,10 +225,14 @@ def _rig(file: SceneTables, folder: Path) -> Rig:
 
 
 def _objects(file: SceneTables, path: Path) -> tuple[SceneObject, ...]:
-    return tuple(_object(file, index, path) for index in range(len(file.objects)))
+    where = f"{path.name}: materials"
+    own = {name: Material.from_table(t, f"{where}.{name}") for name, t in file.materials.items()}
+    return tuple(_object(file, index, path, own) for index in range(len(file.objects)))
 
 
-def _object(file: SceneTables, index: int, path: Path) -> SceneObject:
+def _object(
+    file: SceneTables, index: int, path: Path, materials: Mapping[str, Material]
+) -> SceneObject:
     values = file.objects[index]
     where = f"{path.name}: objects[{index}]"
     if values.artefact is not None:
@@ -247,9 +251,9 @@ def _object(file: SceneTables, index: int, path: Path) -> SceneObject:
         )
     material = Material()
     if values.material is not None:
-        material = _material(file, values.material, f"{where}.material")
+        material = _material(materials, values.material, f"{where}.material")
     by_part = {
-        part: _material(file, name, f"{where}.materials.{part}")
+        part: _material(materials, name, f"{where}.materials.{part}")
         for part, name in values.materials.items()
     }
     rotation = Rotation.from_euler("XYZ", values.rotation_deg, degrees=True).as_matrix()
@@ -257,11 +261,9 @@ def _object(file: SceneTables, index: int, path: Path) -> SceneObject:
     return SceneObject(artefact, pose, material, by_part)
 
 
-def _material(file: SceneTables, name: str, where: str) -> Material:
+def _material(own: Mapping[str, Material], name: str, where: str) -> Material:
     """Return a material of the scene's own or a preset; the scene's own come first."""
-    if name in file.materials:
-        return Material(**file.materials[name].model_dump())
-    if name in PRESETS:
-        return PRESETS[name]
-    known = ", ".join((*file.materials, *PRESETS))
+    if name in own or name in PRESETS:
+        return own[name] if name in own else PRESETS[name]
+    known = ", ".join((*own, *PRESETS))
     raise InputError(where, f"one of the materials {known}", name)

@@ -24,7 +24,6 @@ from slbench.core.types import (
     Pair,
     Pixels,
     Samples,
-    Share,
     TiltDegrees,
     Vector,
     Vibration,
@@ -177,16 +176,6 @@ class ObjectTable(Parameters):
         return self
 
 
-class MaterialTable(Parameters):
-    """``[materials.NAME]``: a material of the scene's own."""
-
-    bsdf: Literal["diffuse", "rough_plastic", "rough_conductor"] = "diffuse"
-    albedo: Share = 0.7
-    roughness: Fraction = 0.3
-    eta: Measure | None = None
-    k: NotNegative = 2.93
-
-
 class LightTable(Parameters):
     """``[light]``: ambient light and bounces."""
 
@@ -275,7 +264,8 @@ class SceneTables(Parameters):
     detector: Detector = Detector()
     rig: RigTable
     objects: Annotated[tuple[ObjectTable, ...], Field(min_length=1)]
-    materials: dict[str, MaterialTable] = Field(default_factory=dict)
+    # Their keys are those of the BSDFs (slbench.scene.bsdfs).
+    materials: dict[str, dict[str, Any]] = Field(default_factory=dict)
     light: LightTable = LightTable()
     exposure: ExposureTable = ExposureTable()
     patterns: PatternsTable = PatternsTable()

@@ -18,6 +18,7 @@ import tomli_w
 from slbench import objects
 from slbench.cli import main
 from slbench.rig import Pose
+from slbench.scene.bsdfs import Diffuse
 from slbench.scene.file import load_scene
 from slbench.scene.materials import Material
 from slbench.scene.model import Scene, SceneObject
@@ -48,7 +49,7 @@ def scene_of(items: Iterable[SceneObject], divisor: int = 4, samples: int = 16) 
 def at(artefact: objects.Artefact, *position: float, albedo: float = 0.8) -> SceneObject:
     """Return an artefact at a position, unturned."""
     return SceneObject(
-        artefact, Pose(np.eye(3), np.array(position or (0, 0, 0))), Material(albedo=albedo)
+        artefact, Pose(np.eye(3), np.array(position or (0, 0, 0))), Material(Diffuse(albedo=albedo))
     )
 
 

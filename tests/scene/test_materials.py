@@ -7,6 +7,7 @@ import pytest
 
 from slbench import objects
 from slbench.core.errors import InputError
+from slbench.scene.bsdfs import Diffuse, RoughConductor
 from slbench.scene.file import load_scene
 from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import SceneObject
@@ -37,32 +38,33 @@ def test_presets():
     [("chrome", 0.5540), ("gold", 0.7869), ("brushed-steel", 0.5120)],
 )
 def test_metals_have_the_reflectance_of_their_constants(name, reflectance):
-    n, k = PRESETS[name].eta, PRESETS[name].k
+    n, k = PRESETS[name].bsdf.eta, PRESETS[name].bsdf.k
     assert ((n - 1) ** 2 + k**2) / ((n + 1) ** 2 + k**2) == pytest.approx(reflectance, abs=1e-3)
 
 
 @pytest.mark.parametrize(
-    "arguments",
+    "table",
     [
         {"bsdf": "velvet"},
         {"albedo": 1.1},
         {"albedo": float("nan")},
-        {"roughness": 0.0},
+        {"bsdf": "rough_plastic", "roughness": 0.0},
+        {"roughness": 0.3},  # changes nothing
         {"bsdf": "rough_plastic", "eta": 0.9},
         {"bsdf": "rough_conductor", "eta": -1.0},
         {"bsdf": "rough_conductor", "k": float("nan")},
     ],
 )
-def test_nonsense_is_refused(arguments):
-    with pytest.raises(InputError):
-        Material(**arguments)
+def test_nonsense_is_refused(table):
+    with pytest.raises(InputError, match=r"^materials\.coat"):
+        Material.from_table(table, "materials.coat")
 
 
 def test_materials_by_part():
     grid = objects.load("calibration-grid")
     with pytest.raises(InputError, match="parts dots, plate"):
         SceneObject(grid, materials={"dot": PRESETS["chrome"]})
-    dark, light = Material("diffuse", 0.05), Material("diffuse", 0.9)
+    dark, light = Material(Diffuse(albedo=0.05)), Material(Diffuse(albedo=0.9))
     image, _ = shade(grid, materials={"dots": dark, "plate": light}, size_px=160, samples=16)
     swapped, _ = shade(grid, materials={"dots": light, "plate": dark}, size_px=160, samples=16)
     # The top face: dots cover pi / 16 of the pitch squared, a fifth.
@@ -76,7 +78,7 @@ def test_roughness_shows():
     scene = load_scene("sphere", preview=True)
     peak, width = [], []
     for roughness in (0.1, 0.4):
-        metal = Material("rough_conductor", roughness=roughness)
+        metal = Material(RoughConductor(roughness=roughness))
         ball = replace(scene.objects[0], material=metal)
         view = trace(replace(scene, objects=(ball,)), ("u",)).white()
         peak.append(view.max())

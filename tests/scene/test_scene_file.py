@@ -16,6 +16,7 @@ from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
 from slbench.rig.opencv import write_rig
+from slbench.scene.bsdfs import Diffuse, RoughConductor, RoughPlastic
 from slbench.scene.file import load_scene
 from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import Exposure, Light
@@ -182,8 +183,8 @@ def test_everything_that_can_be_said_is_heard(tmp_path):
     assert scene.samples == 100
     assert scene.rig.volume_mm == (10.0, 20.0, 30.0)
     block, ball, plate = scene.objects
-    assert block.material == Material("rough_plastic", 0.4, 0.2, 1.4)
-    assert ball.material == Material("rough_conductor", k=4.0)
+    assert block.material == Material(RoughPlastic(albedo=0.4, roughness=0.2, eta=1.4))
+    assert ball.material == Material(RoughConductor(k=4.0))
     assert plate.material == Material()
     np.testing.assert_array_equal(block.pose.position, [1, 2, 3])
     # Turned about its own x, then y, then z axis.
@@ -308,11 +309,11 @@ def test_materials_by_name_and_by_part(tmp_path):
     values["objects"].append({"artefact": "plane", "materials": {part: "chrome"}})
     gold, white, chrome = load_scene(write(tmp_path, values)).objects
     assert gold.material == PRESETS["gold"]
-    assert white.material == Material("diffuse", 0.8)
+    assert white.material == Material(Diffuse(albedo=0.8))
     assert chrome.materials == {part: PRESETS["chrome"]}
     # A scene's own material of a preset's name comes first.
     values["materials"]["gold"] = {"albedo": 0.1}
-    assert load_scene(write(tmp_path, values)).objects[0].material == Material("diffuse", 0.1)
+    assert load_scene(write(tmp_path, values)).objects[0].material == Material(Diffuse(albedo=0.1))
 
 
 # -- scenes that extend others, previews ----------------------------------------------------------

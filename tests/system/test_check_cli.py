@@ -106,7 +106,7 @@ def test_bad_input_is_refused_before_anything_is_measured(
 def test_a_claim_without_a_value_is_shown_and_reported_and_not_kept(folder, monkeypatch):
     import slbench.bench.claims.pools as pooling
 
-    monkeypatch.setattr(pooling, "score_values", lambda result: dict.fromkeys(NAMES, float("nan")))
+    monkeypatch.setattr(pooling, "score_values", lambda *given: dict.fromkeys(NAMES, float("nan")))
     path, report = written(folder, TRUE), folder / "report.xml"
     outcome = run_cli("check", path, "--update", "--junit", report)
     assert outcome.status == 2

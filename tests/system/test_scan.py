@@ -16,6 +16,7 @@ from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact, Mesh
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
+from slbench.scene.bsdfs import Diffuse
 from slbench.scene.file import load_scene
 from slbench.scene.materials import Material
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
@@ -204,7 +205,7 @@ def above():
 
 def test_a_groove_lights_itself():
     albedo = 0.8
-    item = SceneObject(groove(), Pose(), Material(albedo=albedo))
+    item = SceneObject(groove(), Pose(), Material(Diffuse(albedo=albedo)))
     rig = above()
     sequence = PatternSequence.parse("1", (160, 120))
     images = []

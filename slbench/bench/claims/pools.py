@@ -23,7 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.claims.file import Claim, Settings
-from slbench.bench.claims.quantities import check_set, pattern_set, resolve, score_values, set_value
+from slbench.bench.claims.quantities import (
+    check_set,
+    claim_quantities,
+    pattern_set,
+    resolve,
+    score_values,
+    set_value,
+)
 from slbench.bench.claims.speed import speed_ratios
 from slbench.bench.compare.compare import NothingToCompare, compare, own_shifts
 from slbench.bench.compare.comparison import SetResult
@@ -67,6 +74,7 @@ class Pools:
         self._on_progress = on_progress
         self._scenes: dict[Settings, Scene] = {}
         self._rows: dict[Hashable, list[Row]] = {}
+        self._further: set[str] = set()  # of claim_quantities, by the claims that were checked
 
     def scene(self, settings: Settings) -> Scene:
         """Return the scene with its settings, loaded once."""
@@ -95,6 +103,7 @@ class Pools:
         for quantity in claim.quantities if claim.family == "set" else ():
             check_set(quantity, self.scene(claim.settings), f"{where}: quantity")
         if claim.family == "score":
+            self._further.update(q for q in claim.quantities if q in claim_quantities)
             resolve(claim.quantity, self.scene(claim.settings), f"{where}: quantity")
             for quantity in claim.quantities[1:]:
                 resolve(quantity, self.scene(claim.versus), f"{where}: bound")
@@ -146,11 +155,12 @@ class Pools:
             )
             return np.array([row[quantity.removeprefix("speed.")] for row in rows])
         names = resolve(quantity, scene, f'claim "{claim.name}"')
+        further = frozenset(self._further)
         rows = self._repeats(
-            settings,
+            (settings, further),
             claim.repeats,
             scene.name,
-            lambda seed: score_values(scan(scene, seed=seed, noise=settings.noise)),
+            lambda seed: score_values(scan(scene, seed=seed, noise=settings.noise), further),
         )
         # The largest of a family of features; NaN if one of them was not measured.
         return np.array([[row[name] for name in names] for row in rows]).max(axis=1)

@@ -5,7 +5,7 @@ A quantity of a scan is a number of its score: ``rms_mm``, ``smooth_rms_px.u``,
 (``plane[reference]``) or by object and either (``sphere[ball-bar/left]``); a second object of
 one name is ``name#2``; ``[*]`` is the largest value over all features of a kind.  A quantity of a
 comparison names its pattern set: ``set[1,10,50].std_median_mm``.  ``docs/how-to/claims.md``
-lists all.
+lists all; further quantities of a scan are rows of :data:`claim_quantities`.
 
 *Errors have a sign only where they are called deviations.*  ``deviation_mm`` is measured minus
 nominal; ``error_mm`` is its magnitude, scan by scan, so that an upper bound on it means what it
@@ -17,7 +17,7 @@ from __future__ import annotations
 import difflib
 import itertools
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -25,12 +25,42 @@ import numpy as np
 
 from slbench.bench.compare.comparison import SetResult
 from slbench.core.errors import InputError
+from slbench.core.registry import Registry
 from slbench.objects import REFERENCE
 from slbench.scene.model import Scene
 from slbench.score.features import PlaneScore, SpacingScore, SphereScore, StepScore
 from slbench.score.points import Score
 from slbench.simulate.fusionscore import FusionScore, Sharpness
 from slbench.simulate.scan import Scan
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number read off a scan, beside those of its score.
+
+    Parameters
+    ----------
+    value : callable
+        ``value(scan)`` returns the number; NaN where it was not measured.
+    unit : str
+        Unit that a bound has too; ``""`` for a pure number.
+    """
+
+    value: Callable[[Scan], float]
+    unit: str = ""
+
+
+#: Further quantities of a scan by name, e.g. ``"slope_deg"``.  To add one, write a
+#: :class:`Quantity` and name it here; outside slbench the entry-point group
+#: ``slbench.claim_quantities``, or a module that a claims file names.
+claim_quantities: Registry[Quantity] = Registry(
+    "claim quantity",
+    "slbench.claim_quantities",
+    {"floor_rms_px": "slbench.bench.claims.quantities:FLOOR"},
+    base="slbench.bench.claims.quantities:Quantity",
+)
+#: The renderer's own error.
+FLOOR = Quantity(lambda scan: scan.floor_rms_px, "px")
 
 #: What :mod:`slbench.bench.claims.speed` measures.
 SPEED_FIELDS = ("patterns36_per_render", "pattern_per_render")
@@ -108,6 +138,8 @@ def family(text: str) -> str:
 
 def unit(text: str) -> str:
     """Return the unit that a quantity's name carries, ``""`` for a pure number."""
+    if text in claim_quantities:
+        return claim_quantities.get(text).unit
     words = text.rpartition("]")[2].split(".")
     last = words[-2] if words[-1] in ("u", "v") and len(words) > 1 else words[-1]
     return "" if last == "intensity_rms" else _UNITS.get(last.rpartition("_")[2], "")
@@ -202,7 +234,7 @@ def features_of(scene: Scene) -> tuple[Feature, ...]:
 
 def quantities_of(scene: Scene) -> list[str]:
     """Return every quantity that a scan of the scene has, each by its shortest clear name."""
-    names = [*_SCALARS, "floor_rms_px"]
+    names = [*_SCALARS, *claim_quantities]
     names += [f"{name}.{axis}" for name in _BY_AXIS for axis in scene.sequence.axes]
     if scene.focus is not None:
         names += [f"fusion.{part}.{name}" for part in _FUSED for name in _SHARPNESS]
@@ -256,11 +288,28 @@ def resolve(text: str, scene: Scene, where: str) -> tuple[str, ...]:
     return tuple(f"{kind}[{f.label}].{name}" for f in chosen)
 
 
-def score_values(scan: Scan) -> dict[str, float]:
-    """Return all numbers of a scan's score by canonical name; NaN for what was not measured."""
+def score_values(scan: Scan, further: Iterable[str] = ()) -> dict[str, float]:
+    """Return the numbers of a scan by canonical name; NaN for what was not measured.
+
+    Parameters
+    ----------
+    scan : Scan
+    further : iterable of str
+        Names of :data:`claim_quantities`, beside all numbers of the score.
+
+    Raises
+    ------
+    InputError
+        Naming one of these that fails.
+    """
     score = scan.score
     values = {name: float(getattr(score, name)) for name in _SCALARS}
-    values["floor_rms_px"] = scan.floor_rms_px
+    for name in further:
+        try:
+            values[name] = float(claim_quantities.get(name).value(scan))
+        except Exception as error:  # foreign code may fail in any way
+            where = f"claim quantity {name!r} of {claim_quantities.origin(name)}"
+            raise InputError(where, "a number", repr(error)) from error
     for name in _BY_AXIS:
         values |= {f"{name}.{axis}": v for axis, v in getattr(score, name).items()}
     if scan.fusion is not None:

@@ -21,6 +21,7 @@ from slbench.calibration.models.polynomials import (
     Axes,
     PolynomialForm,
     Standardisation,
+    calibration_models,
     checked_inputs,
     polynomial_form,
 )
@@ -80,15 +81,18 @@ class CalibrationModel:
 
     @property
     def form(self) -> PolynomialForm:
-        """The largest of the three forms; the others are its first terms."""
-        return max((c.form for c in self.coordinates), key=len)
+        """The form of all terms that the three have; the largest of nested ones."""
+        first, *others = sorted((c.form for c in self.coordinates), key=len, reverse=True)
+        for other in others:
+            first = first.union(other)
+        return first
 
     @property
     def coefficients(self) -> Array:
         """Coefficients of the three polynomials for :attr:`form`, (p, 3), standardised inputs."""
         table = np.zeros((len(self.form), 3))
         for k, coordinate in enumerate(self.coordinates):
-            table[: len(coordinate.form), k] = coordinate.coefficients
+            table[coordinate.form.columns_in(self.form), k] = coordinate.coefficients
         return table
 
     def raw_coefficients(self) -> dict[str, dict[str, float]]:
@@ -126,7 +130,7 @@ class CalibrationModel:
         for part, standardised in self._passes(inputs):
             design = form.design(standardised)
             for k, one in enumerate(self.coordinates):
-                terms = design[:, : len(one.form)]
+                terms = design[:, one.form.columns_in(form)]
                 variance = np.einsum("ni,ni->n", terms @ one.covariance, terms)
                 result[part, k] = np.sqrt(np.maximum(variance, 0.0) + one.residual_std**2)
         return result
@@ -224,7 +228,7 @@ _Vector = Annotated[tuple[Finite, ...], Field(min_length=1)]
 
 
 class _Coordinate(Parameters):
-    form: Literal["M1", "M2", "M3", "M4"]
+    form: str
     terms: tuple[str, ...]
     coefficients_mm: _Vector
     covariance_mm2: tuple[_Vector, ...]
@@ -248,6 +252,7 @@ class _File(Parameters):
 
 
 def _coordinate(values: _Coordinate, axes: str, where: str) -> CoordinateModel:
+    calibration_models.get(values.form, f"{where}.form")
     form = polynomial_form(values.form, axes)
     if values.terms != form.terms:
         raise InputError(f"{where}.terms", ", ".join(form.terms), ", ".join(values.terms)[:60])

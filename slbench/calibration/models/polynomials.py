@@ -6,17 +6,19 @@ values near 2000 cubed beside a constant term would cost ten of the sixteen digi
 spans the same functions in any unit of its inputs (a monomial's divisors belong to the form
 too), so standardisation changes the numbers of a fit and not its predictions.
 
-The forms are nested and their terms stand in one order, so the columns of a smaller model are
-the first columns of a larger one: one QR decomposition serves them all.
+The forms of the table are nested and their terms stand in one order, so the columns of a smaller
+model are the first columns of a larger one: one QR decomposition serves them all.  Further forms
+are rows of :data:`calibration_models`; they need not be nested.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import comb
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +26,7 @@ from scipy.linalg import qr
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from slbench.core.errors import InputError
+from slbench.core.registry import Registry
 
 Array = NDArray[np.float64]
 Axes = Literal["u", "uv"]
@@ -35,6 +38,23 @@ VARIABLES: dict[str, tuple[str, ...]] = {
 }
 #: Thesis table 1: linear, linear with interactions, quadratic, cubic.
 FORMS = ("M1", "M2", "M3", "M4")
+
+#: What a row of the registry is: the powers of the inputs in each term, for a number of inputs.
+Exponents: TypeAlias = Sequence[tuple[int, ...]]
+
+#: Forms by name.  To add one, write the function of its exponents and name it here; outside
+#: slbench the entry-point group ``slbench.calibration_models``, or a module that a scene names.
+calibration_models: Registry[Callable[[int], Exponents]] = Registry(
+    "calibration model",
+    "slbench.calibration_models",
+    {
+        "M1": "slbench.calibration.models.polynomials:linear",
+        "M2": "slbench.calibration.models.polynomials:with_interactions",
+        "M3": "slbench.calibration.models.polynomials:quadratic",
+        "M4": "slbench.calibration.models.polynomials:cubic",
+    },
+    base="collections.abc:Callable",
+)
 
 #: A column is taken as dependent when the sine of its angle to the columns before it is below
 #: this: coordinates written with nine digits leave 1e-9 of exactly dependent ones, and the
@@ -49,16 +69,50 @@ class PolynomialForm:
     Parameters
     ----------
     name : str
-        One of :data:`FORMS`.
     variables : tuple of str
         Names of the k inputs.
     exponents : tuple of tuple of int
-        Power of each input in each of the p terms.
+        Power of each input in each of the p terms.  A term comes after its divisors, all of
+        which are terms too; the first is the constant.
+
+    Raises
+    ------
+    InputError
+        For a term without its divisors before it, or twice.
     """
 
     name: str
     variables: tuple[str, ...]
     exponents: tuple[tuple[int, ...], ...]
+
+    def __post_init__(self) -> None:
+        seen: set[tuple[int, ...]] = set()
+        for powers in self.exponents:
+            divisors = {
+                (*powers[:j], e - 1, *powers[j + 1 :]) for j, e in enumerate(powers) if e > 0
+            }
+            if len(powers) != len(self.variables) or powers in seen or not divisors <= seen:
+                where = f"calibration model {self.name}: term {powers}"
+                expected = f"{len(self.variables)} powers, once, after all of the term's divisors"
+                raise InputError(where, expected, "another place")
+            seen.add(powers)
+        if not seen:
+            raise InputError(f"calibration model {self.name}", "terms", "none")
+
+    def columns_in(self, wider: PolynomialForm) -> slice | list[int]:
+        """Return where this form's terms stand among those of a form that has them all."""
+        if wider.exponents[: len(self)] == self.exponents:
+            return slice(len(self))
+        place = {powers: i for i, powers in enumerate(wider.exponents)}
+        return [place[powers] for powers in self.exponents]
+
+    def union(self, other: PolynomialForm) -> PolynomialForm:
+        """Return the form with the terms of both, this one's first."""
+        more = tuple(powers for powers in other.exponents if powers not in self.exponents)
+        if not more:
+            return self
+        name = f"{self.name}+{other.name}"
+        return PolynomialForm(name, self.variables, self.exponents + more)
 
     def __len__(self) -> int:
         return len(self.exponents)
@@ -116,13 +170,14 @@ def _features(form: PolynomialForm) -> tuple[PolynomialFeatures, list[int]]:
 
 @cache
 def polynomial_form(name: str, axes: str = "u") -> PolynomialForm:
-    """Return a form of thesis table 1.
+    """Return a form by its name.
 
     Parameters
     ----------
     name : str
-        M1 linear, M2 linear with interactions of two inputs, M3 quadratic, M4 cubic; with one
-        panel axis 4, 7, 10 and 20 terms, with two 5, 11, 15 and 35.
+        One of thesis table 1 (M1 linear, M2 linear with interactions of two inputs, M3 quadratic,
+        M4 cubic; with one panel axis 4, 7, 10 and 20 terms, with two 5, 11, 15 and 35), or one
+        that was added to :data:`calibration_models`.
     axes : {"u", "uv"}
         Inputs ``(u_c, v_c, u_p)``, or ``v_p`` too.
 
@@ -133,25 +188,40 @@ def polynomial_form(name: str, axes: str = "u") -> PolynomialForm:
     """
     if axes not in VARIABLES:
         raise InputError("axes", "u or uv", repr(axes))
-    if name not in FORMS:
-        raise InputError("calibration model", f"one of {', '.join(FORMS)}", repr(name))
-    size = len(VARIABLES[axes])
+    exponents = calibration_models.get(name)(len(VARIABLES[axes]))
+    return PolynomialForm(name, VARIABLES[axes], tuple(map(tuple, exponents)))
 
-    def powers(*factors: int) -> tuple[int, ...]:
-        return tuple(factors.count(j) for j in range(size))
 
-    # The table's order: neighbours first, (0, 1), (1, 2), then (0, 2).
-    pairs = sorted(itertools.combinations(range(size), 2), key=lambda p: (p[1] - p[0], p[0]))
-    terms = [powers(), *(powers(j) for j in range(size))]
-    if name != "M1":
-        terms += [powers(i, j) for i, j in pairs]
-    if name in ("M3", "M4"):
-        terms += [powers(j, j) for j in range(size)]
-    if name == "M4":
-        terms += [t for i, j in pairs for t in (powers(i, i, j), powers(i, j, j))]
-        terms += [powers(*three) for three in itertools.combinations(range(size), 3)]
-        terms += [powers(j, j, j) for j in range(size)]
-    return PolynomialForm(name, VARIABLES[axes], tuple(terms))
+def linear(size: int) -> Exponents:
+    """Return the constant and the inputs, of which there are `size`: M1."""
+    return [_powers(size), *(_powers(size, j) for j in range(size))]
+
+
+def with_interactions(size: int) -> Exponents:
+    """Return M1 and the products of two inputs: M2."""
+    return [*linear(size), *(_powers(size, i, j) for i, j in _pairs(size))]
+
+
+def quadratic(size: int) -> Exponents:
+    """Return M2 and the squares: M3."""
+    return [*with_interactions(size), *(_powers(size, j, j) for j in range(size))]
+
+
+def cubic(size: int) -> Exponents:
+    """Return M3 and all products of three inputs: M4."""
+    terms = list(quadratic(size))
+    terms += [t for i, j in _pairs(size) for t in (_powers(size, i, i, j), _powers(size, i, j, j))]
+    terms += [_powers(size, *three) for three in itertools.combinations(range(size), 3)]
+    return [*terms, *(_powers(size, j, j, j) for j in range(size))]
+
+
+def _powers(size: int, *factors: int) -> tuple[int, ...]:
+    return tuple(factors.count(j) for j in range(size))
+
+
+def _pairs(size: int) -> list[tuple[int, int]]:
+    """Return the pairs of inputs in the table's order: neighbours first, (0, 1), (1, 2), (0, 2)."""
+    return sorted(itertools.combinations(range(size), 2), key=lambda p: (p[1] - p[0], p[0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,9 +329,8 @@ class Basis:
         return cls(form, np.ascontiguousarray(q), r)
 
     def leading(self, form: PolynomialForm) -> Basis:
-        """Return the basis of a smaller form, a view of this one."""
+        """Return the basis of a form of this one's first terms, a view."""
         p = len(form)
-        assert self.form.exponents[:p] == form.exponents
         return Basis(form, self.q[:, :p], self.r[:p, :p])
 
 

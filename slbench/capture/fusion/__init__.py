@@ -8,7 +8,7 @@ only, not what was projected.
 
 from slbench.capture.fusion.align import Alignment, align
 from slbench.capture.fusion.folder import Photographs
-from slbench.capture.fusion.measures import MEASURES, focus_measure
+from slbench.capture.fusion.measures import focus_measure, focus_measures
 from slbench.capture.fusion.pyramid import PyramidSelection, pyramid_selection
 from slbench.capture.fusion.selective import (
     VARIANTS,
@@ -19,7 +19,6 @@ from slbench.capture.fusion.selective import (
 from slbench.capture.fusion.stack import Stack
 
 __all__ = [
-    "MEASURES",
     "VARIANTS",
     "Alignment",
     "FusionWeights",
@@ -28,6 +27,7 @@ __all__ = [
     "Stack",
     "align",
     "focus_measure",
+    "focus_measures",
     "maximum_weights",
     "pyramid_selection",
     "selective_weights",

@@ -5,7 +5,8 @@ frequency (S. Pertuz, D. Puig, M. A. Garcia, "Analysis of focus measure operator
 shape-from-focus", Pattern Recognition 46(5), 2013).
 """
 
-from typing import Literal, get_args
+from collections.abc import Callable
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,13 +14,43 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.capture.fusion import _kernels
 from slbench.capture.fusion.stack import frames
 from slbench.core.errors import InputError
+from slbench.core.registry import Registry
 
-Measure = Literal["variance", "gradient", "laplacian"]
-MEASURES: tuple[str, ...] = get_args(Measure)
+#: ``detail(image, window, out)`` writes what a measure averages, pixel by pixel: `image` and `out`
+#: are (V, U) float32, not the same array, `window` is the side of the window in pixels.
+Detail: TypeAlias = Callable[[Any, int, Any], None]
+
+#: Focus measures by name.  To add one, write its detail below and name it here; outside slbench
+#: the entry-point group ``slbench.focus_measures``, or a module that a capture names.
+focus_measures: Registry[Detail] = Registry(
+    "focus measure",
+    "slbench.focus_measures",
+    {
+        "variance": "slbench.capture.fusion.measures:variance",
+        "gradient": "slbench.capture.fusion.measures:gradient",
+        "laplacian": "slbench.capture.fusion.measures:laplacian",
+    },
+    base="collections.abc:Callable",
+)
+
+
+def variance(image: Any, window: int, out: Any) -> None:
+    """Write the squared deviation from the window's mean."""
+    _kernels.squared_deviation(image, window // 2, out)
+
+
+def gradient(image: Any, window: int, out: Any) -> None:
+    """Write the squared gradient."""
+    _kernels.squared_gradient(image, out)
+
+
+def laplacian(image: Any, window: int, out: Any) -> None:
+    """Write the modified Laplacian."""
+    _kernels.modified_laplacian(image, out)
 
 
 def focus_measure(
-    image: ArrayLike, measure: Measure = "variance", window: int = 9
+    image: ArrayLike, measure: str = "variance", window: int = 9
 ) -> NDArray[np.float32]:
     """Return the focus measure at every pixel.
 
@@ -37,7 +68,7 @@ def focus_measure(
     image : (V, U) array_like
         Grey values in any unit g.
     measure : str
-        As above.
+        As above, or one that was added to :data:`focus_measures`.
     window : int
         Side of the window, pixels: odd, at least 3.
 
@@ -61,8 +92,7 @@ def focus_measure(
 
 def check_measure(measure: str, window: int) -> None:
     """Refuse an unknown measure and a window without a centre."""
-    if measure not in MEASURES:
-        raise InputError("measure", f"one of {', '.join(MEASURES)}", measure)
+    focus_measures.get(measure, "measure")
     check_window(window, 3)
 
 
@@ -81,10 +111,5 @@ def measure_into(
     out: NDArray[np.float32],
 ) -> None:
     """Write the focus measure of a (V, U) float32 image to `out`, `scratch` being overwritten."""
-    if measure == "variance":
-        _kernels.squared_deviation(values, window // 2, scratch)
-    elif measure == "gradient":
-        _kernels.squared_gradient(values, scratch)
-    else:
-        _kernels.modified_laplacian(values, scratch)
+    focus_measures.get(measure)(values, window, scratch)
     _kernels.box_mean(scratch, window // 2, out)

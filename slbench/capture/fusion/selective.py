@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.capture.fusion import _kernels
-from slbench.capture.fusion.measures import Measure, check_measure, measure_into
+from slbench.capture.fusion.measures import check_measure, measure_into
 from slbench.capture.fusion.stack import Stack, frames
 from slbench.core.errors import InputError
 
@@ -113,7 +113,7 @@ def selective_weights(
     stack: Stack,
     *,
     positions: ArrayLike | None = None,
-    measure: Measure = "variance",
+    measure: str = "variance",
     window: int = 9,
     alpha: float = 0.2,
     threshold_db: float = 13.0,
@@ -148,8 +148,9 @@ def selective_weights(
     positions : (P,) array_like, optional
         Focus position of each frame, all different, in any order and unit; 0, 1, ... P - 1
         otherwise.
-    measure : {"variance", "gradient", "laplacian"}
-        See :func:`~slbench.capture.fusion.measures.focus_measure`.
+    measure : str
+        ``"variance"``, ``"gradient"``, ``"laplacian"``, or one that was added;
+        see :func:`~slbench.capture.fusion.measures.focus_measure`.
     window : int
         Side of the window, pixels: odd, at least 3.
     alpha : float
@@ -194,7 +195,7 @@ def maximum_weights(
     stack: Stack,
     *,
     positions: ArrayLike | None = None,
-    measure: Measure = "variance",
+    measure: str = "variance",
     window: int = 9,
     on_progress: Callable[[str, float, str], None] | None = None,
 ) -> FusionWeights:

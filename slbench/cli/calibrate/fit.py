@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from slbench.cli.common import Json, Seed, check_file, print_json, print_table
+from slbench.cli.common import Json, Seed, check_file, listed, print_json, print_table
 from slbench.cli.lazy import command
 
 
@@ -39,6 +39,7 @@ def fit(
     Every world coordinate has a model of its own, or all together one.
     """
     from slbench.calibration.models.points import CalibrationPoints
+    from slbench.calibration.models.polynomials import calibration_models
     from slbench.calibration.selection import select_models
     from slbench.calibration.summary import gross_note, not_converged, score_table
 
@@ -52,7 +53,7 @@ def fit(
     selection = select_models(
         data,
         axes=axes,
-        forms=[name.strip() for name in models.split(",")],
+        forms=listed(models, calibration_models, "--models"),
         multivariate=multivariate,
         validation=validation,
         seed=seed,

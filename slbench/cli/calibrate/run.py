@@ -16,6 +16,7 @@ from slbench.cli.common import (
     Seed,
     Weights,
     check_folder,
+    listed,
     print_json,
     progress,
 )
@@ -52,6 +53,14 @@ def run(
     spp: Annotated[
         int | None, typer.Option(min=1, max=65536, help="Monte Carlo samples a pixel.")
     ] = None,
+    models: Annotated[
+        str | None,
+        typer.Option(help="Candidates.  [default: those of M1,M2,M3,M4 that points allow]"),
+    ] = None,
+    baselines: Annotated[
+        str | None,
+        typer.Option(help="Methods to compare with, by commas.  [default: all that there are]"),
+    ] = None,
     multivariate: Annotated[
         bool, typer.Option("--multivariate", help="Fit x, y and z together.")
     ] = False,
@@ -66,7 +75,8 @@ def run(
     """Render the calibration experiment: dots on a stage to a model."""
     import numpy as np
 
-    from slbench.calibration.baselines import compare_methods
+    from slbench.calibration.baselines import calibration_baselines, compare_methods
+    from slbench.calibration.models.polynomials import calibration_models
     from slbench.calibration.selection import forms_for, select_models
     from slbench.report.page import check_page_path, write_page
     from slbench.report.pages.calibration import calibration_page
@@ -85,6 +95,8 @@ def run(
     if not np.isfinite(y_step_um) or not np.isfinite(stage_um):
         raise InputError("stage", "finite lengths (um)", f"{y_step_um}, {stage_um}")
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
+    chosen = None if models is None else listed(models, calibration_models, "--models")
+    methods = None if baselines is None else listed(baselines, calibration_baselines, "--baselines")
     if divisor is not None:
         loaded = loaded.coarser(divisor, loaded.samples)
     if spp is not None:
@@ -115,7 +127,7 @@ def run(
     # Hours of rendering: kept whatever the points are good for.
     write_points(found, out, parameters, seed)
     try:
-        forms = forms_for(len(found.points))
+        forms = chosen or forms_for(len(found.points))
         selection = select_models(found.points, forms=forms, multivariate=multivariate, seed=seed)
     except InputError as problem:
         got = f"{problem.got} (the points are kept in {out / 'points.csv'})"
@@ -125,6 +137,7 @@ def run(
             found.points,
             (camera.width, camera.height),
             (projector.width, projector.height),
+            baselines=methods,
             seed=seed,
         )
     except InputError:  # too few heights or dots in common: no baselines, but a calibration

@@ -31,7 +31,9 @@ _PART = re.compile(r"([A-Za-z][A-Za-z0-9_-]*)=([0-9.eE+-]+)")
 def export(
     dataset: DatasetName,
     out: Annotated[Path, typer.Option(help="Folder, or .h5 file, to write; must not exist.")],
-    form: Annotated[str, typer.Option("--format", help="frames, hdf5 or bop.")] = "frames",
+    form: Annotated[
+        str, typer.Option("--format", help="frames, hdf5, bop, or one that was added.")
+    ] = "frames",
     where: Annotated[
         str | None,
         typer.Option(help="Samples to take: \"ra_um > 0.5 and kind in ('gear', 'coin')\"."),
@@ -84,11 +86,11 @@ def export(
                 for name, part in parts.items():
                     tell = None if report is None else partial(report, f"export {name}")
                     target = _target(temporary, form, name)
-                    counts[name] = write(part, target, form, recipe, tell)  # type: ignore[arg-type]
+                    counts[name] = write(part, target, form, recipe, tell)
             count = sum(counts.values())
         else:
             tell = None if report is None else partial(report, "export")
-            count = write(data, out, form, recipe, tell)  # type: ignore[arg-type]
+            count = write(data, out, form, recipe, tell)
     if as_json:
         said = {"samples": count, "format": form, "patterns": patterns, "out": str(out)}
         print_json(said | ({"parts": counts} if counts else {}))
@@ -113,4 +115,7 @@ def _fractions(texts: list[str]) -> dict[str, float]:
 
 
 def _target(folder: Path, form: str, name: str) -> Path:
-    return folder / (f"{name}.h5" if form == "hdf5" else name)
+    from slbench.datasets.export.registry import exporters
+
+    suffixes = exporters.get(form, "--format").suffixes
+    return folder / (f"{name}{suffixes[0]}" if suffixes else name)

@@ -43,6 +43,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import write_json, write_ply, write_png
 from slbench.datasets.export.frames import depth_scale, scaled_depth, write_index
 from slbench.datasets.export.raster import depth_of_mesh
+from slbench.datasets.export.registry import Exporter
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Recipe
 from slbench.datasets.read.stored import Sample
@@ -261,3 +262,7 @@ def diameter(points: NDArray[np.float64]) -> float:
     points = points[radius + radius.max() >= bound - 1e-9]
     rows = range(0, len(points), _BLOCK)
     return max(bound, *(float(cdist(points[k : k + _BLOCK], points).max()) for k in rows))
+
+
+#: The row of :mod:`slbench.datasets.export.registry`.
+EXPORTER = Exporter(write_bop)

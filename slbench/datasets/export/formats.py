@@ -1,4 +1,4 @@
-"""Other layouts of a data set: folders of pictures, HDF5, BOP.
+"""Other layouts of a data set: folders of pictures, HDF5, BOP, and those that were added.
 
 A sample at a time goes from its shard into the new files, so memory and temporary disk stay
 those of one sample; what is written appears under its name when it is complete.
@@ -8,17 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, get_args
 
 from slbench.core.errors import InputError
 from slbench.core.io import atomic_folder, atomic_path, write_provenance
-from slbench.datasets.export.bop import write_bop
-from slbench.datasets.export.frames import write_frames
-from slbench.datasets.export.hdf5 import write_hdf5
+from slbench.datasets.export.registry import exporters
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Recipe
-
-Format = Literal["frames", "hdf5", "bop"]
 
 
 def check_target(form: str, out: Path) -> None:
@@ -29,18 +24,18 @@ def check_target(form: str, out: Path) -> None:
     InputError
         For another format, or a file or a folder with something in it at `out`.
     """
-    if form not in get_args(Format):
-        raise InputError("--format", " or ".join(get_args(Format)), repr(form))
-    if form == "hdf5" and out.suffix not in (".h5", ".hdf5"):
-        raise InputError("--out", "for hdf5 a file that ends in .h5 or .hdf5", out)
-    if out.is_file() or (out.is_dir() and (form == "hdf5" or any(out.iterdir()))):
+    suffixes = exporters.get(form, "--format").suffixes
+    if suffixes and out.suffix not in suffixes:
+        expected = f"for {form} a file that ends in {' or '.join(suffixes)}"
+        raise InputError("--out", expected, out)
+    if out.is_file() or (out.is_dir() and (suffixes or any(out.iterdir()))):
         raise InputError("--out", "a name that is not taken", f"{out}, which exists")
 
 
 def export(
     data: Dataset,
     out: str | Path,
-    form: Format,
+    form: str,
     recipe: Recipe | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> int:
@@ -51,8 +46,9 @@ def export(
     data : Dataset
     out : str or Path
         A folder, or for HDF5 a file, that does not exist.
-    form : {"frames", "hdf5", "bop"}
-        See :mod:`slbench.datasets.export.frames`, ``export_hdf5`` and ``export_bop``.
+    form : str
+        ``"frames"``, ``"hdf5"``, ``"bop"`` (see the modules of this package), or one that was
+        added.
     recipe : Recipe, optional
         Patterns and noise; the first stored capture of each sample by default.
     on_progress : callable, optional
@@ -74,14 +70,14 @@ def export(
     recipe = recipe or Recipe(None)
     if not len(data):
         raise InputError("data set", "at least one sample to export", "none")
-    if form == "hdf5":
+    exporter = exporters.get(form)
+    if exporter.suffixes:
         with atomic_path(target) as temporary:
-            for done in write_hdf5(data, recipe, temporary):
+            for done in exporter.write(data, recipe, temporary):
                 _report(on_progress, done, data)
         return len(data)
     with atomic_folder(target) as temporary:
-        write = write_frames if form == "frames" else write_bop
-        for done in write(data, recipe, temporary):
+        for done in exporter.write(data, recipe, temporary):
             _report(on_progress, done, data)
         patterns = None if recipe.patterns is None else str(recipe.patterns)
         parameters = {

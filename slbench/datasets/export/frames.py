@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.io import write_json, write_png
+from slbench.datasets.export.registry import Exporter
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Recipe
 from slbench.datasets.store import sample as members
@@ -96,3 +97,7 @@ def depth_scale(depth: NDArray[np.float64]) -> float:
 def scaled_depth(depth: NDArray[np.float64], scale: float) -> NDArray[np.uint16]:
     """Return depth (V, U) in millimetres as 16-bit numbers of `scale`, 0 for none."""
     return np.rint(np.nan_to_num(depth) / scale).astype(np.uint16)
+
+
+#: The row of :mod:`slbench.datasets.export.registry`.
+EXPORTER = Exporter(write_frames)

@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 import slbench
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
+from slbench.datasets.export.registry import Exporter
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Recipe
 from slbench.datasets.read.stored import Sample
@@ -182,3 +183,7 @@ def _describe(file: Any, data: Dataset, recipe: Recipe, shots: Capture) -> None:
     file["mask"].attrs["meaning"] = "the pixel's centre ray meets a point that the projector lights"
     file["panel"].attrs["meaning"] = "projector (u, v) that sees the point; NaN where none"
     file["R"].attrs["meaning"] = "x_projector = R x_camera + t"
+
+
+#: The row of :mod:`slbench.datasets.export.registry`.
+EXPORTER = Exporter(write_hdf5, (".h5", ".hdf5"))

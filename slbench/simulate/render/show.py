@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from slbench.objects import Artefact
 from slbench.rig import Pose, box_corners
+from slbench.scene.bsdfs import Diffuse
 from slbench.scene.materials import Material
 from slbench.scene.model import SceneObject
 from slbench.simulate.render.mitsuba import mi
@@ -53,9 +54,11 @@ def shade(
     register()
     chosen = dict(materials or {})
     if material is None:
-        dark = {part: Material("diffuse", 0.1) for part in _DARK_PARTS if part in artefact.parts}
+        dark = {
+            part: Material(Diffuse(albedo=0.1)) for part in _DARK_PARTS if part in artefact.parts
+        }
         chosen = dark | chosen
-    item = SceneObject(artefact, Pose(), material or Material("diffuse", 0.6), chosen)
+    item = SceneObject(artefact, Pose(), material or Material(Diffuse(albedo=0.6)), chosen)
     low, high = artefact.mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low) / 2.0)
     toward = np.array(

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.core.io import atomic_folder, write_exr
 from slbench.rig import Device, Pose
+from slbench.scene.bsdfs import grey
 from slbench.scene.materials import Material
 from slbench.scene.model import Scene, SceneObject
 from slbench.simulate.render.mitsuba import dr, mi
@@ -29,30 +30,7 @@ from slbench.simulate.render.plugins.register import register
 
 def bsdf_dict(material: Material) -> dict[str, Any]:
     """Return a material as a Mitsuba BSDF; both sides of every face scatter."""
-    if material.bsdf == "diffuse":
-        inner: dict[str, Any] = {"type": "diffuse", "reflectance": _grey(material.albedo)}
-    elif material.bsdf == "rough_plastic":
-        inner = {
-            "type": "roughplastic",
-            "distribution": "ggx",
-            "alpha": material.roughness,
-            "int_ior": material.eta,
-            "diffuse_reflectance": _grey(material.albedo),
-        }
-    else:
-        inner = {
-            "type": "roughconductor",
-            "distribution": "ggx",
-            "alpha": material.roughness,
-            "eta": _grey(material.eta or 1.0),
-            "k": _grey(material.k),
-            "specular_reflectance": _grey(material.albedo),
-        }
-    return {"type": "twosided", "bsdf": inner}
-
-
-def _grey(value: float) -> dict[str, Any]:
-    return {"type": "uniform", "value": float(value)}
+    return {"type": "twosided", "bsdf": material.bsdf.mitsuba()}
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +244,7 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
 
 
 def _ambient(scene: Scene) -> dict[str, Any]:
-    return {"type": "constant", "radiance": _grey(scene.light.ambient_w_per_mm2 / np.pi)}
+    return {"type": "constant", "radiance": grey(scene.light.ambient_w_per_mm2 / np.pi)}
 
 
 def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]:

@@ -161,7 +161,7 @@ def variations(
     still = replace(base.exposure, vibration_px=vibration_px)
     linear = replace(scene.rig.projector, bit_depth=None, gamma=1.0)
     open_lenses = replace(base, rig=scene.rig.having(projector=linear))
-    albedo = scene.objects[0].material.albedo
+    albedo = scene.objects[0].material.bsdf.model_dump()["albedo"]  # of a diffuse spray
     white = float(np.median(transport.white()[transport.white() > 0]))
     ambient = Light(ambient_w_per_mm2=_AMBIENT * math.pi * white / albedo)
     bits = scene.rig.projector.bit_depth

@@ -23,6 +23,7 @@ from helpers_scene import (
 
 import slbench.simulate.render.trace as tracing
 from slbench.core.errors import InputError
+from slbench.scene.bsdfs import bsdfs
 from slbench.scene.materials import Material
 from slbench.scene.model import Light
 from slbench.simulate.render.mitsuba import mi
@@ -43,7 +44,7 @@ PATTERNS = {
 
 
 def glossy(value, bsdf):
-    material = Material(bsdf, roughness=0.4)
+    material = Material(bsdfs.get(bsdf)(roughness=0.4))
     return replace(value, objects=tuple(replace(o, material=material) for o in value.objects))
 
 

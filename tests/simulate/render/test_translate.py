@@ -19,6 +19,7 @@ from helpers_scene import (
 
 from slbench.core.errors import InputError
 from slbench.rig import Lens, Pose, Rig
+from slbench.scene.bsdfs import Diffuse, RoughConductor, bsdfs
 from slbench.scene.materials import Material
 from slbench.scene.model import Light, SceneObject
 from slbench.simulate.render import translate
@@ -226,13 +227,15 @@ def reflected(material, cosine):
 
 
 class TestMaterials:
-    @pytest.mark.parametrize("bsdf", ["diffuse", "rough_plastic", "rough_conductor"])
+    @pytest.mark.parametrize("bsdf", bsdfs.names())
     def test_no_material_creates_energy(self, bsdf):
         # Exact for each sample but for single precision; losses are multiple scattering's.
-        assert 0.3 < reflected(Material(bsdf, albedo=1.0, roughness=0.4), 0.75**0.5) < 1.0 + 1e-6
+        rough = {} if bsdf == "diffuse" else {"roughness": 0.4}
+        material = Material(bsdfs.get(bsdf)(albedo=1.0, **rough))
+        assert 0.3 < reflected(material, 0.75**0.5) < 1.0 + 1e-6
 
     def test_a_smooth_metal_reflects_as_fresnel_says(self):
-        material = Material("rough_conductor", albedo=0.8, roughness=0.01, eta=2.5, k=3.0)
+        material = Material(RoughConductor(albedo=0.8, roughness=0.01, eta=2.5, k=3.0))
         cosine, index = 0.6, 2.5 - 3.0j
         inside = np.sqrt(1.0 - 0.64 / index**2)
         s = abs((cosine - index * inside) / (cosine + index * inside)) ** 2
@@ -241,7 +244,7 @@ class TestMaterials:
         assert reflected(material, cosine) == pytest.approx(0.8 * (s + p) / 2.0, rel=2e-3)
 
     def test_diffuse_reflects_its_albedo(self):
-        loaded = mi.load_dict(bsdf_dict(Material(albedo=0.35)))
+        loaded = mi.load_dict(bsdf_dict(Material(Diffuse(albedo=0.35))))
         si = dr.zeros(mi.SurfaceInteraction3f)
         for z in (1.0, -1.0):  # both sides scatter
             si.wi = mi.Vector3f(0.0, 0.0, z)
@@ -257,7 +260,7 @@ class TestExport:
             step_scene(camera(2.0), PLAIN), light=Light(ambient_w_per_mm2=ambient, bounces=1)
         )
         tilted = Pose.looking_at([20.0, -15.0, 8.0], [22.0, -12.0, 50.0], [0.0, 1.0, 0.0])
-        steel = Material("rough_conductor", 0.9, 0.3)
+        steel = Material(RoughConductor(albedo=0.9))
         extra = SceneObject(plate((25.0, 15.0)).artefact, tilted, steel)
         value = replace(value, objects=(*value.objects, extra))
         pattern = np.random.default_rng(1).random((120, 160))
