@@ -38,10 +38,8 @@ from slbench.core.types import (
     Seed,
 )
 from slbench.core.values import Value, checked
+from slbench.detector.base import DetectorModel, FloatArray, FrameArray
 from slbench.patterns import NoiseModel
-
-FloatArray = NDArray[np.float64]
-FrameArray = NDArray[np.uint8] | NDArray[np.uint16]
 
 PLANCK_J_S = 6.62607015e-34
 LIGHT_SPEED_M_PER_S = 299792458.0
@@ -63,7 +61,7 @@ _BLOCK = 1024
 
 
 @dataclass(frozen=True)
-class Detector(Value):
+class Detector(Value, DetectorModel):
     """A camera's detector; the defaults are those of a small machine-vision CCD.
 
     Parameters
@@ -139,168 +137,160 @@ class Detector(Value):
             return float(self.gain_e_per_dn)
         return self.full_well_e / (self.top_dn - self.black_dn)
 
+    @checked
+    def photons(
+        self,
+        irradiance_w_per_mm2: ArrayLike,
+        exposure_s: NotNegative,
+        pixel_area_mm2: Positive,
+    ) -> FloatArray:
+        """Return the mean number of photons a pixel (EMVA 1288 eq. 2): E A t / (h c / lambda).
 
-@checked
-def photons_from_irradiance(
-    irradiance_w_per_mm2: ArrayLike,
-    exposure_s: NotNegative,
-    pixel_area_mm2: Positive,
-    wavelength_nm: Positive,
-) -> FloatArray:
-    """Return the mean number of photons a pixel (EMVA 1288 eq. 2): E A t / (h c / lambda).
+        Parameters
+        ----------
+        irradiance_w_per_mm2 : array_like
+            Irradiance of the pixel, W/mm^2, any shape.
+        exposure_s, pixel_area_mm2 : float
+            Exposure time and photosensitive area.
 
-    Parameters
-    ----------
-    irradiance_w_per_mm2 : array_like
-        Irradiance of the pixel, W/mm^2, any shape.
-    exposure_s, pixel_area_mm2, wavelength_nm : float
-        Exposure time, photosensitive area and wavelength.
+        Raises
+        ------
+        InputError
+            For negative or non-finite values.
+        """
+        irradiance = np.asarray(irradiance_w_per_mm2, dtype=np.float64)
+        if not np.all(np.isfinite(irradiance) & (irradiance >= 0.0)):
+            raise InputError("photons: irradiance_w_per_mm2", "finite numbers >= 0", "others")
+        joules_per_photon = PLANCK_J_S * LIGHT_SPEED_M_PER_S / (self.wavelength_nm * 1e-9)
+        return irradiance * (exposure_s * pixel_area_mm2 / joules_per_photon)
 
-    Raises
-    ------
-    InputError
-        For negative or non-finite values.
-    """
-    irradiance = np.asarray(irradiance_w_per_mm2, dtype=np.float64)
-    if not np.all(np.isfinite(irradiance) & (irradiance >= 0.0)):
-        raise InputError("photons: irradiance_w_per_mm2", "finite numbers >= 0", "others")
-    joules_per_photon = PLANCK_J_S * LIGHT_SPEED_M_PER_S / (wavelength_nm * 1e-9)
-    return irradiance * (exposure_s * pixel_area_mm2 / joules_per_photon)
+    @checked
+    def expected_dn(self, photons: ArrayLike, exposure_s: NotNegative) -> FloatArray:
+        """Return the mean digital number before rounding, without fixed pattern.
 
+        Parameters
+        ----------
+        photons : (..., V, U) array_like
+            Mean photons a pixel and exposure.
+        exposure_s : float
+            Exposure time, which sets the dark signal.
 
-@checked
-def expected_dn(detector: Detector, photons: ArrayLike, exposure_s: NotNegative) -> FloatArray:
-    """Return the mean digital number before rounding, without fixed pattern.
+        Returns
+        -------
+        (..., V, U) float64
+            Clipped at full well and at the top of the range.  The mean of noisy frames equals
+            it where noise does not reach either limit and spreads over about half a DN or more.
 
-    Parameters
-    ----------
-    detector : Detector
-    photons : (..., V, U) array_like
-        Mean photons a pixel and exposure.
-    exposure_s : float
-        Exposure time, which sets the dark signal.
+        Raises
+        ------
+        InputError
+            For photons that are negative or not finite, or a negative exposure.
+        """
+        mean = np.asarray(photons, dtype=np.float64)
+        _require_photons(mean)
+        dark = self.dark_current_e_per_s * exposure_s
+        electrons = np.minimum(self.quantum_efficiency * mean + dark, self.full_well_e)
+        return np.minimum(self.black_dn + electrons / self.e_per_dn, self.top_dn)
 
-    Returns
-    -------
-    (..., V, U) float64
-        Clipped at full well and at the top of the range.  The mean of noisy frames equals
-        it where noise does not reach either limit and spreads over about half a DN or more.
+    @checked
+    def expose(
+        self,
+        photons: ArrayLike,
+        exposure_s: NotNegative,
+        rng: np.random.Generator | None = None,
+        noise: bool = True,
+        scale: Positive = 1.0,
+    ) -> FrameArray:
+        """Expose frames: mean photons in, digital numbers out.
 
-    Raises
-    ------
-    InputError
-        For photons that are negative or not finite, or a negative exposure.
-    """
-    mean = np.asarray(photons, dtype=np.float64)
-    _require_photons(mean)
-    dark = detector.dark_current_e_per_s * exposure_s
-    electrons = np.minimum(detector.quantum_efficiency * mean + dark, detector.full_well_e)
-    return np.minimum(detector.black_dn + electrons / detector.e_per_dn, detector.top_dn)
+        Parameters
+        ----------
+        photons : (..., V, U) array_like
+            Mean photons a pixel; every leading index is one frame.
+        exposure_s : float
+            Exposure time of each frame, which sets the dark signal.
+        rng : numpy.random.Generator
+            Source of the temporal noise; each frame draws from a child stream of it.
+        noise : bool
+            False gives the expectation, without temporal noise or fixed pattern, rounded once.
+        scale : float
+            Photons a unit of `photons`, which may thus be a radiance.
 
+        Returns
+        -------
+        (..., V, U) uint8 or uint16
+            uint8 for a bit depth of 8.
 
-@checked
-def expose(
-    detector: Detector,
-    photons: ArrayLike,
-    exposure_s: NotNegative,
-    rng: np.random.Generator | None = None,
-    noise: bool = True,
-    scale: Positive = 1.0,
-) -> FrameArray:
-    """Expose frames: mean photons in, digital numbers out.
+        Raises
+        ------
+        InputError
+            For photons that are negative, not finite or no image, a negative exposure, or
+            noise without a generator.
+        """
+        stack = np.asarray(photons)
+        if stack.ndim < 2 or stack.size == 0 or stack.dtype.kind not in "uif":
+            raise InputError("expose: photons", "real numbers of shape (..., V, U)", stack.shape)
+        if stack.dtype not in (np.float32, np.float64):
+            stack = stack.astype(np.float64)
+        frames = stack.reshape(-1, *stack.shape[-2:])
+        out = np.empty(frames.shape, np.uint8 if self.bit_depth == 8 else np.uint16)
+        if noise and not isinstance(rng, np.random.Generator):
+            raise InputError("expose: rng", "a numpy.random.Generator", type(rng).__name__)
+        streams = rng.spawn(len(frames)) if noise and rng is not None else []
 
-    Parameters
-    ----------
-    detector : Detector
-    photons : (..., V, U) array_like
-        Mean photons a pixel; every leading index is one frame.
-    exposure_s : float
-        Exposure time of each frame, which sets the dark signal.
-    rng : numpy.random.Generator
-        Source of the temporal noise; each frame draws from a child stream of it.
-    noise : bool
-        False gives the expectation, without temporal noise or fixed pattern, rounded once.
-    scale : float
-        Photons a unit of `photons`, which may thus be a radiance.
+        def expose_frame(k: int) -> None:
+            if noise:
+                _expose_frame(self, frames[k], scale, exposure_s, streams[k], out[k])
+            else:
+                out[k] = np.rint(self.expected_dn(frames[k] * scale, exposure_s))
 
-    Returns
-    -------
-    (..., V, U) uint8 or uint16
-        uint8 for a bit depth of 8.
+        with ThreadPoolExecutor(min(len(frames), os.cpu_count() or 1)) as pool:
+            list(pool.map(expose_frame, range(len(frames))))  # releases the interpreter lock
+        return out.reshape(stack.shape)
 
-    Raises
-    ------
-    InputError
-        For photons that are negative, not finite or no image, a negative exposure, or
-        noise without a generator.
-    """
-    stack = np.asarray(photons)
-    if stack.ndim < 2 or stack.size == 0 or stack.dtype.kind not in "uif":
-        raise InputError("expose: photons", "real numbers of shape (..., V, U)", stack.shape)
-    if stack.dtype not in (np.float32, np.float64):
-        stack = stack.astype(np.float64)
-    frames = stack.reshape(-1, *stack.shape[-2:])
-    out = np.empty(frames.shape, np.uint8 if detector.bit_depth == 8 else np.uint16)
-    if noise and not isinstance(rng, np.random.Generator):
-        raise InputError("expose: rng", "a numpy.random.Generator", type(rng).__name__)
-    streams = rng.spawn(len(frames)) if noise and rng is not None else []
+    def noise_model(self) -> NoiseModel:
+        """Return the temporal noise of the detector's frames, for the decoder.
 
-    def expose_frame(k: int) -> None:
-        if noise:
-            _expose_frame(detector, frames[k], scale, exposure_s, streams[k], out[k])
-        else:
-            out[k] = np.rint(expected_dn(detector, frames[k] * scale, exposure_s))
+        Shot noise of the dark signal needs no term of its own: the dark signal is part of the
+        value above the black level, to which shot noise is proportional.
+        """
+        return NoiseModel(
+            read_dn=self.read_noise_e / self.e_per_dn,
+            gain_dn_per_e=1.0 / self.e_per_dn,
+            offset_dn=self.black_dn,
+        )
 
-    with ThreadPoolExecutor(min(len(frames), os.cpu_count() or 1)) as pool:
-        list(pool.map(expose_frame, range(len(frames))))  # releases the interpreter lock
-    return out.reshape(stack.shape)
+    @checked
+    def exposure_scale(
+        self,
+        photons_white: ArrayLike,
+        level: Fraction = 0.8,
+        percentile: Percentile = 99.0,
+    ) -> float:
+        """Return the factor on the light that exposes the fully lit image to a given level.
 
+        Parameters
+        ----------
+        photons_white : array_like
+            Mean photons a pixel under a fully lit panel.
+        level : float
+            Fraction of full well to reach.
+        percentile : float
+            Percentile of the lit pixels (those with any photons) that reaches it;
+            the brighter rest is left to saturate, as highlights are.
 
-def noise_model(detector: Detector) -> NoiseModel:
-    """Return the temporal noise of the detector's frames, for the decoder.
-
-    Shot noise of the dark signal needs no term of its own: the dark signal is part of the
-    value above the black level, to which shot noise is proportional.
-    """
-    return NoiseModel(
-        read_dn=detector.read_noise_e / detector.e_per_dn,
-        gain_dn_per_e=1.0 / detector.e_per_dn,
-        offset_dn=detector.black_dn,
-    )
-
-
-@checked
-def auto_exposure_scale(
-    detector: Detector,
-    photons_white: ArrayLike,
-    level: Fraction = 0.8,
-    percentile: Percentile = 99.0,
-) -> float:
-    """Return the factor on the light that exposes the fully lit image to a given level.
-
-    Parameters
-    ----------
-    detector : Detector
-    photons_white : array_like
-        Mean photons a pixel under a fully lit panel.
-    level : float
-        Fraction of full well to reach.
-    percentile : float
-        Percentile of the lit pixels (those with any photons) that reaches it;
-        the brighter rest is left to saturate, as highlights are.
-
-    Raises
-    ------
-    InputError
-        For parameters outside their range or an image in which nothing is lit.
-    """
-    white = np.asarray(photons_white, dtype=np.float64)
-    _require_photons(white)
-    lit = white[white > 0.0]
-    if lit.size == 0:
-        raise InputError("auto exposure: photons_white", "lit pixels", "a black image")
-    bright = float(np.percentile(lit, percentile))
-    return level * detector.full_well_e / (detector.quantum_efficiency * bright)
+        Raises
+        ------
+        InputError
+            For parameters outside their range or an image in which nothing is lit.
+        """
+        white = np.asarray(photons_white, dtype=np.float64)
+        _require_photons(white)
+        lit = white[white > 0.0]
+        if lit.size == 0:
+            raise InputError("exposure scale: photons_white", "lit pixels", "a black image")
+        bright = float(np.percentile(lit, percentile))
+        return level * self.full_well_e / (self.quantum_efficiency * bright)
 
 
 @lru_cache(maxsize=4)

@@ -27,6 +27,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
 from slbench.core.validation import validated
+from slbench.detector.base import detector_of
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
@@ -182,7 +183,7 @@ def _build(
         sequence=PatternSequence.parse(
             file.patterns.sequence, panel, file.patterns.shifts, file.patterns.axes
         ),
-        detector=file.detector,
+        detector=detector_of(file.detector, f"{path.name}: detector"),
         exposure=Exposure(
             None if file.exposure.time_ms is None else file.exposure.time_ms * 1e-3,
             file.exposure.white_level,

@@ -14,6 +14,7 @@ from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
 from slbench.core.types import Bounces, Fraction, MinLen, NotNegative, Positive, Samples, Vibration
 from slbench.core.values import Value
+from slbench.detector.base import DetectorModel
 from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact
 from slbench.patterns import PatternSequence
@@ -96,7 +97,7 @@ class Scene(Value):
     objects : tuple of SceneObject
         At least one; the index is the object id of the ground truth.
     sequence : PatternSequence
-    detector : Detector
+    detector : DetectorModel
     exposure : Exposure
     light : Light
     samples : int
@@ -111,7 +112,7 @@ class Scene(Value):
     rig: Rig
     objects: Annotated[tuple[SceneObject, ...], MinLen(1)]
     sequence: PatternSequence
-    detector: Detector = field(default_factory=Detector)
+    detector: DetectorModel = field(default_factory=Detector)
     exposure: Exposure = field(default_factory=Exposure)
     light: Light = field(default_factory=Light)
     samples: Samples = 64

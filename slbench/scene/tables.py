@@ -29,7 +29,6 @@ from slbench.core.types import (
     Vibration,
 )
 from slbench.core.validation import Parameters
-from slbench.detector.emva1288 import Detector
 from slbench.rig import Lens, Rig
 
 
@@ -261,7 +260,8 @@ class SceneTables(Parameters):
     modules: tuple[dict[str, str], ...] = ()
     camera: Optics | None = None
     projector: ProjectorOptics | None = None
-    detector: Detector = Detector()
+    # Its keys are those of its kind (slbench.detector.base).
+    detector: dict[str, Any] = Field(default_factory=dict)
     rig: RigTable
     objects: Annotated[tuple[ObjectTable, ...], Field(min_length=1)]
     # Their keys are those of the BSDFs (slbench.scene.bsdfs).

@@ -14,12 +14,6 @@ from numpy.typing import NDArray
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.random import Word, generator
-from slbench.detector.emva1288 import (
-    auto_exposure_scale,
-    expose,
-    noise_model,
-    photons_from_irradiance,
-)
 from slbench.patterns import Axis, NoiseModel, decode, panel_response
 from slbench.scene.model import Scene
 from slbench.simulate.transport import LightTransport
@@ -73,7 +67,7 @@ def capture(
     for indices, radiance in radiance_batches(scene, transport):
         if shake is not None and scene.exposure.vibration_px > 0:
             _vibrate(radiance, scene.exposure.vibration_px, shake)
-        frames[indices] = expose(scene.detector, radiance, exposure_s, rng, noise, factor)
+        frames[indices] = scene.detector.expose(radiance, exposure_s, rng, noise, factor)
         done += len(indices)
         if on_progress:
             on_progress(done / len(frames))
@@ -81,7 +75,7 @@ def capture(
         frames,
         sequence,
         scene.detector.bit_depth,
-        noise_model(scene.detector) if noise else NoiseModel(offset_dn=scene.detector.black_dn),
+        scene.detector.noise_model() if noise else NoiseModel(offset_dn=scene.detector.black_dn),
         scene.rig,
         exposure_s,
         scene.detector.saturation_dn,
@@ -143,7 +137,7 @@ def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
         # Photons per second and unit scene radiance; a pinhole has none, and says so.
         area = camera.pitch_mm[0] * camera.pitch_mm[1]
         irradiance = camera.etendue_mm2_sr / area
-        photons = photons_from_irradiance(irradiance, 1.0, area, detector.wavelength_nm)
+        photons = detector.photons(irradiance, 1.0, area)
         per_second = float(photons)
         if time is not None:
             return per_second * time, time
@@ -151,7 +145,7 @@ def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
     lit = white > transport.ambient
     if not np.any(lit):
         raise InputError(f"scene {scene.name}", "an object that the projector lights", "none")
-    factor = auto_exposure_scale(detector, white[lit], scene.exposure.white_level)
+    factor = detector.exposure_scale(white[lit], scene.exposure.white_level)
     return factor, (factor / per_second if per_second else NOMINAL_EXPOSURE_S)
 
 

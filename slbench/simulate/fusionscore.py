@@ -19,7 +19,6 @@ from slbench.capture.capture import Capture
 from slbench.capture.fusion import maximum_weights, pyramid_selection, selective_weights
 from slbench.capture.stack import FocusStack, FusedCapture, modulation_weights
 from slbench.core.errors import InputError
-from slbench.detector.emva1288 import expected_dn
 from slbench.patterns import Axis
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
@@ -109,7 +108,7 @@ def score_fusion(
     factor, exposure_s = stack_exposure(stack, scene, transport)
     for indices, radiance in radiance_batches(scene, transport):
         for k, image in zip(indices.tolist(), radiance, strict=True):
-            true = expected_dn(scene.detector, np.maximum(image, 0.0) * factor, exposure_s)
+            true = scene.detector.expected_dn(np.maximum(image, 0.0) * factor, exposure_s)
             shown = {
                 "fused": fused.capture.frames[k] / scale,
                 "middle": stack.frame(middle, k).astype(np.float64),

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from slbench import objects
 from slbench.capture.stack import WeightSource
 from slbench.core.random import Word, generator, tagged_seed
-from slbench.detector.emva1288 import expose
 from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
 from slbench.rig import Pose
 from slbench.scene.model import Scene, SceneObject
@@ -121,7 +120,7 @@ def _frames(
         few[indices, 0] = radiance.reshape(len(radiance), -1)[:, pixels]
     for r in range(repeats):
         rng = generator(tagged_seed(seed, r), Word.NOISE)
-        yield expose(scene.detector, few, exposure_s, rng, scale=factor)[:, 0]
+        yield scene.detector.expose(few, exposure_s, rng, scale=factor)[:, 0]
 
 
 def _fused_frames(

@@ -11,11 +11,6 @@ from slbench.detector.emva1288 import (
     EXPANSION_VARIANCE_E2,
     Detector,
     _quantile,
-    auto_exposure_scale,
-    expected_dn,
-    expose,
-    noise_model,
-    photons_from_irradiance,
 )
 from slbench.patterns import PatternSequence, decode
 
@@ -25,7 +20,7 @@ N_PIXELS = SHAPE[0] * SHAPE[1]
 
 def temporal(detector, level, exposure_s, rng, n=2):
     """Mean and temporal variance of `n` frames at one light level, DN and DN^2."""
-    frames = expose(detector, np.full((n, *SHAPE), level), exposure_s, rng).astype(float)
+    frames = detector.expose(np.full((n, *SHAPE), level), exposure_s, rng).astype(float)
     return frames.mean(), frames.var(axis=0, ddof=1).mean()
 
 
@@ -57,15 +52,15 @@ def test_fixed_pattern_and_dark_current():
     )
     rng = np.random.default_rng(11)
     n = 64
-    dark = expose(detector, np.zeros((n, *SHAPE)), 0.1, rng).mean(axis=0)
-    lit = expose(detector, np.full((n, *SHAPE), 20_000.0), 0.1, rng).mean(axis=0)
+    dark = detector.expose(np.zeros((n, *SHAPE)), 0.1, rng).mean(axis=0)
+    lit = detector.expose(np.full((n, *SHAPE), 20_000.0), 0.1, rng).mean(axis=0)
     e = detector.e_per_dn
     # Standard errors: a standard deviation over 16,384 pixels 0.6 %; temporal noise left in
     # the mean of 64 frames adds under 1 % (dark: 0.8 e on 20 e; lit: 12.5 e on 100 e).
     assert np.std(dark) * e == pytest.approx(20, rel=0.03)
     assert np.std(lit - dark) * e / 10_000 == pytest.approx(0.01, rel=0.03)
     # 20 e of dark current at 0.1 s, 0.16 e of it a standard error from the DSNU's own mean.
-    zero = expose(detector, np.zeros((n, *SHAPE)), 0.0, rng).mean(axis=0)
+    zero = detector.expose(np.zeros((n, *SHAPE)), 0.0, rng).mean(axis=0)
     assert (dark - zero).mean() * e == pytest.approx(20, rel=0.03)
 
 
@@ -77,8 +72,8 @@ def test_rounding_leaves_no_bias(bit_depth):
     rng = np.random.default_rng(bit_depth)
     for level in (37.0, 500.0, 9_001.0, 22_222.0):
         photons = np.full((16, *SHAPE), level)
-        frames = expose(detector, photons, 0.02, rng).astype(float)
-        expected = expected_dn(detector, photons, 0.02)
+        frames = detector.expose(photons, 0.02, rng).astype(float)
+        expected = detector.expected_dn(photons, 0.02)
         # Four standard errors, false-alarm rate 6e-5 a level, plus the bias bound.
         bound = 4 * frames.std() / np.sqrt(frames.size) + 0.003
         assert abs(frames.mean() - expected.mean()) < bound
@@ -91,7 +86,7 @@ def test_noise_model_predicts_the_temporal_variance():
         mean, variance = temporal(detector, level, 5.0, rng, n=32)
         # A variance from 31 x 16,384 numbers scatters by 0.2 %; Sheppard's 1/12 is good to
         # 1 % where noise is about 1 DN.
-        assert variance == pytest.approx(noise_model(detector).variance(mean), rel=0.02)
+        assert variance == pytest.approx(detector.noise_model().variance(mean), rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +142,7 @@ def test_expanded_and_exact_noise_agree(read_e, means):
     )
     photons = np.full((8, *SHAPE), means[0])
     photons[..., ::2] = means[1]
-    frames = 0.05 * (expose(detector, photons, 0.0, np.random.default_rng(14)) - 100.0)
+    frames = 0.05 * (detector.expose(photons, 0.0, np.random.default_rng(14)) - 100.0)
     for mean, part in zip(means, (frames[..., 1::2], frames[..., ::2]), strict=True):
         sigma = np.sqrt(mean + read_e**2)
         scaled = (part.ravel() - mean) / sigma
@@ -163,16 +158,16 @@ def test_expanded_and_exact_noise_agree(read_e, means):
 @pytest.mark.parametrize("photons", [1e30, 1e39, 1e300])
 def test_any_light_saturates(photons, read_e):
     detector = Detector(read_noise_e=read_e, gain_e_per_dn=50.0)
-    frames = expose(detector, np.full(SHAPE, photons), 0.0, np.random.default_rng(0))
+    frames = detector.expose(np.full(SHAPE, photons), 0.0, np.random.default_rng(0))
     # DSNU and noise are clipped with the well: 16,000 / 50 is beyond the top of 8 bit.
     assert frames.min() == 255
 
 
 def test_any_kind_of_number_is_exposed_alike():
     photons = np.round(np.random.default_rng(3).uniform(0, 30_000, (2, 30, 40)))
-    wanted = expose(Detector(), photons, 0.01, np.random.default_rng(4))
+    wanted = Detector().expose(photons, 0.01, np.random.default_rng(4))
     for kind in (np.float32, np.uint16, np.int64, ">f4", ">f8", ">u2", np.longdouble):
-        found = expose(Detector(), photons.astype(kind), 0.01, np.random.default_rng(4))
+        found = Detector().expose(photons.astype(kind), 0.01, np.random.default_rng(4))
         np.testing.assert_array_equal(found, wanted)
 
 
@@ -185,7 +180,7 @@ def test_scale_turns_radiance_into_photons():
     radiance = np.random.default_rng(15).uniform(0, 3, (2, 60, 80))
     for noise in (True, False):
         wanted, scaled = (
-            expose(Detector(), light, 0.01, np.random.default_rng(16), noise, scale)
+            Detector().expose(light, 0.01, np.random.default_rng(16), noise, scale)
             for light, scale in ((radiance * 1e4, 1.0), (radiance, 1e4))
         )
         # The order of multiplication may move a value across a rounding step.
@@ -204,7 +199,7 @@ def test_few_electrons_are_exactly_poisson():
         gain_e_per_dn=1.0,
         quantum_efficiency=1.0,
     )
-    frames = expose(detector, np.full((8, *SHAPE), 3.0), 0.0, np.random.default_rng(13))
+    frames = detector.expose(np.full((8, *SHAPE), 3.0), 0.0, np.random.default_rng(13))
     observed = np.bincount(np.minimum(frames.ravel(), 10), minlength=11)
     share = stats.poisson.pmf(np.arange(11), 3.0)
     share[10] = stats.poisson.sf(9, 3.0)
@@ -217,12 +212,12 @@ def test_same_seed_same_bytes():
     photons = np.random.default_rng(0).uniform(0, 30_000, (5, 60, 80))
 
     def shoot(seed):
-        return expose(detector, photons, 0.01, np.random.default_rng(seed))
+        return detector.expose(photons, 0.01, np.random.default_rng(seed))
 
     assert shoot(1).tobytes() == shoot(1).tobytes()
     assert shoot(1).tobytes() != shoot(2).tobytes()
     rng = np.random.default_rng(1)
-    first, second = expose(detector, photons, 0.01, rng), expose(detector, photons, 0.01, rng)
+    first, second = detector.expose(photons, 0.01, rng), detector.expose(photons, 0.01, rng)
     assert first.tobytes() != second.tobytes()
     assert (shoot(1)[0] != shoot(1)[1]).any()
 
@@ -230,7 +225,7 @@ def test_same_seed_same_bytes():
 def test_fixed_pattern_is_the_detectors_own():
     def pattern(seed, rng_seed):
         detector = Detector(bit_depth=16, dsnu_e=50, read_noise_e=1, seed=seed)
-        return expose(detector, np.zeros(SHAPE), 0.0, np.random.default_rng(rng_seed)).ravel()
+        return detector.expose(np.zeros(SHAPE), 0.0, np.random.default_rng(rng_seed)).ravel()
 
     assert np.corrcoef(pattern(0, 1), pattern(0, 2))[0, 1] > 0.9
     # Independent patterns: the correlation of 16,384 pairs scatters by 0.008; six sigma.
@@ -240,29 +235,29 @@ def test_fixed_pattern_is_the_detectors_own():
 def test_without_noise_the_expectation_is_rounded_once():
     detector = Detector(bit_depth=8, prnu=0.1, dsnu_e=100)
     photons = np.linspace(0, 60_000, 5_000).reshape(50, 100)
-    frame = expose(detector, photons, 0.01, noise=False)
+    frame = detector.expose(photons, 0.01, noise=False)
     assert frame.dtype == np.uint8
-    np.testing.assert_array_equal(frame, np.rint(expected_dn(detector, photons, 0.01)))
+    np.testing.assert_array_equal(frame, np.rint(detector.expected_dn(photons, 0.01)))
     assert frame.min() == 2  # black level
     assert frame.max() == 255
-    assert expose(Detector(bit_depth=12), photons, 0.01, noise=False).dtype == np.uint16
-    assert expose(Detector(bit_depth=12), photons, 0.01, noise=False).max() == 4095
+    assert Detector(bit_depth=12).expose(photons, 0.01, noise=False).dtype == np.uint16
+    assert Detector(bit_depth=12).expose(photons, 0.01, noise=False).max() == 4095
 
 
 def test_shapes_and_types():
     detector = Detector()
     rng = np.random.default_rng(0)
     for shape in ((4, 6), (1, 4, 6), (2, 3, 4, 6)):
-        assert expose(detector, np.ones(shape), 0.0, rng).shape == shape
+        assert detector.expose(np.ones(shape), 0.0, rng).shape == shape
     photons = np.linspace(0, 30_000, 24).reshape(4, 6)
     same = [np.asfortranarray(photons), photons.astype(np.float32).astype(float), photons]
-    frames = [expose(detector, p, 0.0, np.random.default_rng(5)) for p in same]
+    frames = [detector.expose(p, 0.0, np.random.default_rng(5)) for p in same]
     np.testing.assert_array_equal(frames[0], frames[2])
 
 
 def test_photons_from_irradiance():
     # EMVA 1288 eq. 3: 5.034e24 photons a joule and metre of wavelength.
-    photons = photons_from_irradiance([[1e-9]], 0.01, 25e-6, 550)
+    photons = Detector().photons([[1e-9]], 0.01, 25e-6)
     assert photons[0, 0] == pytest.approx(5.034e24 * 550e-9 * 1e-9 * 0.01 * 25e-6, rel=1e-4)
 
 
@@ -270,7 +265,7 @@ def test_auto_exposure_brings_the_percentile_to_the_level():
     detector = Detector()
     white = np.random.default_rng(3).gamma(4.0, 100.0, (200, 200))
     white[:50] = 0.0  # shadow does not count
-    scale = auto_exposure_scale(detector, white, 0.7, 95.0)
+    scale = detector.exposure_scale(white, 0.7, 95.0)
     electrons = scale * white[50:] * detector.quantum_efficiency
     assert np.percentile(electrons, 95) == pytest.approx(0.7 * detector.full_well_e)
 
@@ -282,8 +277,8 @@ def test_predicted_deviation_covers_decoded_detector_frames():
     _, profiles = sequence.profiles("u")
     columns = np.arange(20, 780)
     photons = np.repeat(profiles[:, np.newaxis, columns], 100, axis=1) * 20_000 + 2_000
-    frames = expose(detector, photons, 0.01, np.random.default_rng(6))
-    result = decode(frames, sequence, noise=noise_model(detector))
+    frames = detector.expose(photons, 0.01, np.random.default_rng(6))
+    result = decode(frames, sequence, noise=detector.noise_model())
     assert result.mask.all()
     z = (result.coordinate["u"] - columns) / result.sigma["u"]
     # 76,000 pixels: the share scatters by 0.0008, its bound is 4 sigma (6e-5) plus 0.002 for
@@ -295,20 +290,20 @@ def test_predicted_deviation_covers_decoded_detector_frames():
 @pytest.mark.parametrize(
     "call",
     [
-        lambda d, r: expose(d, np.zeros(5), 0.0, r),
-        lambda d, r: expose(d, np.zeros((0, 5)), 0.0, r),
-        lambda d, r: expose(d, np.full((2, 2), np.nan), 0.0, r),
-        lambda d, r: expose(d, np.full((2, 2), -1.0), 0.0, r),
-        lambda d, r: expose(d, np.full((2, 2), np.inf), 0.0, r),
-        lambda d, r: expose(d, np.full((2, 2), np.nan), 0.0, noise=False),
-        lambda d, r: expose(d, np.zeros((2, 2)), -1.0, r),
-        lambda d, r: expose(d, np.zeros((2, 2)), 0.0, None),
-        lambda d, r: expose(d, np.zeros((2, 2), complex), 0.0, r),
-        lambda d, r: photons_from_irradiance([-1.0], 0.1, 1e-5, 550),
-        lambda d, r: photons_from_irradiance([1.0], 0.1, 0, 550),
-        lambda d, r: auto_exposure_scale(d, np.zeros((2, 2))),
-        lambda d, r: auto_exposure_scale(d, np.ones((2, 2)), level=1.5),
-        lambda d, r: auto_exposure_scale(d, np.ones((2, 2)), percentile=0),
+        lambda d, r: d.expose(np.zeros(5), 0.0, r),
+        lambda d, r: d.expose(np.zeros((0, 5)), 0.0, r),
+        lambda d, r: d.expose(np.full((2, 2), np.nan), 0.0, r),
+        lambda d, r: d.expose(np.full((2, 2), -1.0), 0.0, r),
+        lambda d, r: d.expose(np.full((2, 2), np.inf), 0.0, r),
+        lambda d, r: d.expose(np.full((2, 2), np.nan), 0.0, noise=False),
+        lambda d, r: d.expose(np.zeros((2, 2)), -1.0, r),
+        lambda d, r: d.expose(np.zeros((2, 2)), 0.0, None),
+        lambda d, r: d.expose(np.zeros((2, 2), complex), 0.0, r),
+        lambda d, r: d.photons([-1.0], 0.1, 1e-5),
+        lambda d, r: d.photons([1.0], 0.1, 0),
+        lambda d, r: d.exposure_scale(np.zeros((2, 2))),
+        lambda d, r: d.exposure_scale(np.ones((2, 2)), level=1.5),
+        lambda d, r: d.exposure_scale(np.ones((2, 2)), percentile=0),
     ],
 )
 def test_bad_input(call):

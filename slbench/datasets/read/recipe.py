@@ -17,7 +17,7 @@ from slbench.core.checks import require_whole
 from slbench.core.errors import InputError
 from slbench.core.random import derived_seed, generator
 from slbench.datasets.read.stored import Sample
-from slbench.detector.emva1288 import Detector
+from slbench.detector.base import DetectorModel
 from slbench.patterns import PatternSequence
 
 Patterns = str | PatternSequence
@@ -34,14 +34,14 @@ class Recipe:
     patterns : str, PatternSequence, callable or None
         Text such as ``"1,10,50@4"``; a function that chooses for a sample, with a generator to
         draw from; None for the first stored capture as it is.
-    detector : Detector, optional
+    detector : DetectorModel, optional
         Instead of each scene's own.
     noise : bool
     seed : int
     """
 
     patterns: Patterns | Chooser | None
-    detector: Detector | None = None
+    detector: DetectorModel | None = None
     noise: bool = True
     seed: int = 0
 

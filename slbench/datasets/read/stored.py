@@ -22,7 +22,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_json
 from slbench.datasets.store import sample, shards
 from slbench.datasets.store.storage import Storage
-from slbench.detector.emva1288 import Detector
+from slbench.detector.base import DetectorModel
 from slbench.patterns import PatternSequence
 from slbench.rig import Rig
 from slbench.rig.opencv import read_rig
@@ -157,7 +157,7 @@ class Sample:
     def capture(
         self,
         sequence: PatternSequence | str,
-        detector: Detector | None = None,
+        detector: DetectorModel | None = None,
         seed: int = 0,
         noise: bool = True,
         *,
@@ -173,7 +173,7 @@ class Sample:
         ----------
         sequence : PatternSequence or str
             Text such as ``"1,10,50@4"`` codes the panel's columns.
-        detector : Detector, optional
+        detector : DetectorModel, optional
             The scene's by default.
         seed : int
             Of temporal noise and vibration.

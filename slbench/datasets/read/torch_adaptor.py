@@ -28,7 +28,7 @@ from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Chooser, Patterns, Recipe
 from slbench.datasets.read.stored import Sample
 from slbench.datasets.store.extras import extra
-from slbench.detector.emva1288 import Detector
+from slbench.detector.base import DetectorModel
 
 try:
     # DataLoader tells an iterable data set by its class, so the base is needed here.
@@ -77,7 +77,7 @@ class _Captures:
         data: Dataset,
         patterns: Patterns | Chooser | None,
         *,
-        detector: Detector | None = None,
+        detector: DetectorModel | None = None,
         noise: bool = True,
         seed: int = 0,
         item: Item = tensors,
@@ -134,7 +134,7 @@ class CaptureDataset(_Captures):
         As :func:`slbench.datasets.open` or a selection of it gives.
     patterns : str, PatternSequence, callable or None
         See :class:`slbench.datasets.read.recipe.Recipe`.
-    detector : Detector, optional
+    detector : DetectorModel, optional
     noise : bool
     seed : int
     item : callable

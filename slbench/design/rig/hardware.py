@@ -23,6 +23,7 @@ from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_table
 from slbench.core.validation import Finite, Parameters, validated
+from slbench.detector.base import DetectorModel, detector_of
 from slbench.detector.emva1288 import Detector
 from slbench.rig import (
     Camera,
@@ -98,7 +99,7 @@ class Hardware:
         Panel axes that the patterns encode: columns, or columns and rows.
     circle_px : float
         Acceptable circle of confusion, pixels of the device's own panel.
-    detector : Detector
+    detector : DetectorModel
         Of the camera; the evaluator's geometry does without.
     refocused : (bool, bool)
         Whether camera and projector are focused on the world's origin wherever they stand;
@@ -115,7 +116,7 @@ class Hardware:
     coded_axes: int = 1
     circle_px: float = 1.0
     refocused: tuple[bool, bool] = (True, True)
-    detector: Detector = field(default_factory=Detector)
+    detector: DetectorModel = field(default_factory=Detector)
 
     def __post_init__(self) -> None:
         for name in ("camera", "projector"):
@@ -308,7 +309,7 @@ class _HardwareFile(Parameters):
     projector: ProjectorOptics
     rig: dict[str, Any]
     design: _Design
-    detector: Detector = Detector()
+    detector: dict[str, Any] = Field(default_factory=dict)
     # What else a scene may hold: it is no concern of the design.
     name: Any = None
     description: Any = None
@@ -367,7 +368,7 @@ def load_hardware(name_or_path: str | Path, *, allow_modules: bool = False) -> H
             design.coded_axes,
             design.circle_of_confusion_px,
             (file.camera.focus_distance_mm is None, file.projector.focus_distance_mm is None),
-            file.detector,
+            detector_of(file.detector, f"{path.name}: detector"),
         )
     except InputError as error:
         raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None

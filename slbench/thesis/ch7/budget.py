@@ -30,7 +30,7 @@ from slbench.detector.emva1288 import Detector
 from slbench.scene.model import Light, Scene
 from slbench.scene.truth import GroundTruth, Status
 from slbench.simulate.transport import LightTransport
-from slbench.thesis.ch7.twoterm import exponent
+from slbench.thesis.ch7.twoterm import detector_of, exponent
 from slbench.thesis.published import FINEST, SETS
 
 Array = NDArray[np.float64]
@@ -122,10 +122,10 @@ def ideal(scene: Scene) -> Scene:
             full_well_e=_BOTTOMLESS,
             read_noise_e=0.0,
             dark_current_e_per_s=0.0,
-            quantum_efficiency=scene.detector.quantum_efficiency,
+            quantum_efficiency=detector_of(scene).quantum_efficiency,
             prnu=0.0,
             dsnu_e=0.0,
-            seed=scene.detector.seed,
+            seed=detector_of(scene).seed,
         ),
         exposure=still,
         light=Light(),
@@ -146,9 +146,9 @@ def variations(
     vibration_px, repeats
         See :func:`error_budget`.
     """
-    base, real = ideal(scene), scene.detector
+    base, real = ideal(scene), detector_of(scene)
     scale = _BOTTOMLESS / real.full_well_e
-    fine = base.detector
+    fine = detector_of(base)
 
     def seen(**changes: Any) -> Scene:
         return replace(base, detector=replace(fine, **changes))

@@ -42,7 +42,12 @@ from slbench.thesis.ch7.findings import (
 )
 from slbench.thesis.ch7.results import Shaken
 from slbench.thesis.ch7.timing import time_sets
-from slbench.thesis.ch7.twoterm import constant_for_ratio, noisy_detector, vibration_std_mm
+from slbench.thesis.ch7.twoterm import (
+    constant_for_ratio,
+    detector_of,
+    noisy_detector,
+    vibration_std_mm,
+)
 from slbench.thesis.outcome import Outcome
 from slbench.thesis.published import DOUBLING, OBJECTS, OURS, SETS, STD_UM, STEP_BLOCK
 
@@ -113,7 +118,7 @@ def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
         on_progress=tell,
     )
     tell("vibration", 0.0)
-    shaken = shake(views, block.scene.detector, size, tagged_seed(seed, _FITTED))
+    shaken = shake(views, detector_of(block.scene), size, tagged_seed(seed, _FITTED))
     tell("vibration", 0.5)
     dim_detector = noisy_detector(block.scene, thesis.NOISE_RAD, tagged_seed(seed, _LIGHT))
     alone = {STEP_BLOCK: block}

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,7 +160,7 @@ def noisy_detector(scene: Scene, noise_rad: float, seed: int) -> Detector:
     turn = 2.0 * math.pi / plate.rig.projector.width
 
     def excess(log_well: float) -> float:
-        detector = _with_well(scene.detector, math.exp(log_well))
+        detector = _with_well(detector_of(scene), math.exp(log_well))
         sigma = (
             capture(replace(plate, detector=detector), transport, seed=seed)
             .decode(min_modulation=0.0)
@@ -170,7 +171,12 @@ def noisy_detector(scene: Scene, noise_rad: float, seed: int) -> Detector:
     low, high = (math.log(well) for well in _WELLS)
     if not excess(low) > 0.0 > excess(high):
         raise InputError("phase noise", "what a detector of this kind can have", noise_rad)
-    return _with_well(scene.detector, math.exp(brentq(excess, low, high, xtol=1e-3)))
+    return _with_well(detector_of(scene), math.exp(brentq(excess, low, high, xtol=1e-3)))
+
+
+def detector_of(scene: Scene) -> Detector:
+    """Return a scene's detector: those of the thesis's scenes follow EMVA 1288."""
+    return cast(Detector, scene.detector)
 
 
 def _with_well(detector: Detector, full_well_e: float) -> Detector:

@@ -9,7 +9,6 @@ from target_images import centroid, dots_image, matched, noisy
 from slbench.calibration.target.detect import Dots, detect_dots
 from slbench.calibration.target.perspective import circle_centre_bias
 from slbench.core.errors import InputError
-from slbench.detector.emva1288 import expose
 from slbench.rig import Pose
 from slbench.scene.file import load_scene
 from slbench.simulate.expose import exposure
@@ -184,7 +183,7 @@ def rendered(divisor: int, z_mm: float, samples: int) -> tuple[np.ndarray, np.nd
     transport = trace(scene, ("u",))
     scale, seconds = exposure(scene, transport)
     photons = transport.white().astype(np.float64) * scale
-    frame = expose(scene.detector, photons, seconds, np.random.default_rng(0))
+    frame = scene.detector.expose(photons, seconds, np.random.default_rng(0))
     dots = detect_dots(frame)
     camera, targets = scene.rig.camera, grid_at.artefact.targets
     truth = camera.project(pose.to_world(targets))
