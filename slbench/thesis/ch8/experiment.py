@@ -28,12 +28,13 @@ from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.trial import noise_of_scene
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene
-from slbench.thesis.ch8 import models as ch8_models
-from slbench.thesis.ch8 import noise as ch8_noise
-from slbench.thesis.ch8 import objects as ch8_objects
-from slbench.thesis.ch8 import plane as ch8_plane
+from slbench.thesis.ch8 import findings as judge
+from slbench.thesis.ch8 import plane
+from slbench.thesis.ch8 import report as pages
 from slbench.thesis.ch8.models import STAGES, calibrations
-from slbench.thesis.ch8.views import Merged, measure_object
+from slbench.thesis.ch8.noise import THESIS_SEQUENCE
+from slbench.thesis.ch8.results import Calibrations, Merged, Stage
+from slbench.thesis.ch8.views import measure_object
 from slbench.thesis.outcome import Finding, Outcome
 from slbench.twin.experiment import Y_STEP_MM, run_experiment, stage_positions
 
@@ -96,7 +97,7 @@ class Size:
     view_divisors: dict[str, int]
     samples: int
     view_samples: int
-    objects_stage: ch8_models.Stage
+    objects_stage: Stage
 
 
 FULL = Size(
@@ -167,17 +168,17 @@ def run_ch8(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
     start = time.perf_counter()
     found = measure_noise(size, tagged_seed(seed, _NOISE), report)
     width = load_scene("ch8-stack").rig.projector.width
-    findings += ch8_noise.noise_findings(found)
-    findings.append(ch8_noise.sequence_finding(found["single"], width))
-    tables.append(ch8_noise.noise_table(found))
-    pictures["noise"] = ch8_noise.noise_picture(found)
+    findings += judge.noise_findings(found)
+    findings.append(judge.sequence_finding(found["single"], width))
+    tables.append(pages.noise_table(found))
+    pictures["noise"] = pages.noise_picture(found)
     seconds["noise"] = time.perf_counter() - start
 
     start = time.perf_counter()
     calibrated = calibrate(size, seed, report)
-    findings += ch8_models.model_findings(calibrated)
-    tables.append(ch8_models.model_table(calibrated))
-    pictures["models"] = ch8_models.model_picture(calibrated)
+    findings += judge.model_findings(calibrated)
+    tables.append(pages.model_table(calibrated))
+    pictures["models"] = pages.model_picture(calibrated)
     seconds["calibration"] = time.perf_counter() - start
 
     start = time.perf_counter()
@@ -193,12 +194,12 @@ def run_ch8(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
     results = []
     for name in VIEWS:
         results.append(measured_object(name, size, model, seed, report))
-        pictures[name] = ch8_objects.object_picture(results[-1])
-        clouds.append(ch8_objects.object_cloud(results[-1], seed))
+        pictures[name] = pages.object_picture(results[-1])
+        clouds.append(pages.object_cloud(results[-1], seed))
         shares.append((FULL.view_divisors[name] / size.view_divisors[name]) ** 2)
-    findings += [ch8_objects.object_finding(*pair) for pair in zip(results, shares, strict=True)]
-    findings.append(ch8_objects.registration_finding(results))
-    tables.append(ch8_objects.objects_table(results))
+    findings += [judge.object_finding(*pair) for pair in zip(results, shares, strict=True)]
+    findings.append(judge.registration_finding(results))
+    tables.append(pages.objects_table(results))
     seconds["objects"] = time.perf_counter() - start
     return Outcome(
         "ch8",
@@ -245,13 +246,11 @@ def measure_noise(size: Size, seed: int, report: Progress) -> dict[str, PhaseNoi
     return found
 
 
-def calibrate(
-    size: Size, seed: int, report: Progress
-) -> dict[ch8_models.Stage, ch8_models.Calibrations]:
+def calibrate(size: Size, seed: int, report: Progress) -> dict[Stage, Calibrations]:
     """Run the calibration experiment once, and calibrate with all stages."""
     grid = stacked(load_scene("ch8-grid-stack"), size.settings)
     grid = grid.coarser(size.calibration_divisor, size.samples).with_patterns(
-        ",".join(map(str, ch8_noise.THESIS_SEQUENCE))
+        ",".join(map(str, THESIS_SEQUENCE))
     )
     experiment = run_experiment(
         grid,
@@ -265,14 +264,14 @@ def calibrate(
 
 def planes(
     size: Size,
-    calibrated: dict[ch8_models.Stage, ch8_models.Calibrations],
+    calibrated: dict[Stage, Calibrations],
     seed: int,
     report: Progress,
 ) -> tuple[tuple[Finding, Finding], Table, Picture]:
     """Measure the plate at all positions and judge fig. 33."""
     plate = stacked(load_scene("ch8-stack"), size.settings)
     plate = plate.coarser(size.plane_divisor, size.samples)
-    scanned = ch8_plane.scan_planes(
+    scanned = plane.scan_planes(
         plate,
         stage_positions(plate, size.plane_z, size.plane_y, Y_STEP_MM),
         seed=tagged_seed(seed, _PLANES),
@@ -281,19 +280,19 @@ def planes(
     to_model = rebinned(size.plane_divisor, size.calibration_divisor)
     own = tagged_seed(seed, _ERRORS)
     errors = {}
-    for way in ch8_plane.WAYS:
+    for way in plane.WAYS:
         for stage, sigma in (("exact", 0.0), ("all axes", STAGE_SIGMA_MM)):
             models = calibrated[stage].models  # type: ignore[index]
-            errors[f"{way}, stage {'off' if sigma else 'exact'}"] = ch8_plane.position_errors(
+            errors[f"{way}, stage {'off' if sigma else 'exact'}"] = plane.position_errors(
                 scanned, models, way, to_model, sigma_mm=sigma, seed=own
             )
     z = np.array([position.stage_mm[2] for position in scanned])
     # The thesis fuses by the lit frames.
     off, exact = errors["lit, stage off"], errors["lit, stage exact"]
     return (
-        ch8_plane.plane_findings(z, off, exact),
-        ch8_plane.plane_table(z, errors),
-        ch8_plane.plane_picture(z, off, exact),
+        judge.plane_findings(z, off, exact),
+        pages.plane_table(z, errors),
+        pages.plane_picture(z, off, exact),
     )
 
 

@@ -12,11 +12,9 @@ from slbench.core.errors import InputError
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.scene.file import load_scene
 from slbench.thesis.ch8 import experiment as ch8
-from slbench.thesis.ch8 import models as ch8_models
-from slbench.thesis.ch8 import noise as ch8_noise
-from slbench.thesis.ch8 import objects as ch8_objects
-from slbench.thesis.ch8 import plane as ch8_plane
-from slbench.thesis.ch8.views import View, merged
+from slbench.thesis.ch8 import findings, models, noise, plane, report
+from slbench.thesis.ch8.results import STAGES, View
+from slbench.thesis.ch8.views import merged
 from slbench.thesis.outcome import write_outcome
 from slbench.twin.experiment import Experiment
 
@@ -34,44 +32,44 @@ class TestNoise:
     def test_growth_is_the_lesser_end_over_the_middle(self):
         sigma = np.full((1, 11), 0.01)
         sigma[0, :2], sigma[0, -2:] = 0.03, 0.02
-        found = ch8_noise.growth(PhaseNoise(np.array([16]), sigma, HEIGHTS), 16)
+        found = noise.growth(PhaseNoise(np.array([16]), sigma, HEIGHTS), 16)
         assert (found.middle, found.low_end, found.high_end) == (0.01, 0.03, 0.02)
         assert found.ratio == pytest.approx(2.0)
 
     def test_verdicts(self):
         grown, flat = table(0.01, 1.0), table(0.01, 0.0)
-        ends, fusion = ch8_noise.noise_findings({"single": grown, "fused-lit": table(0.005, 0.1)})
+        ends, fusion = findings.noise_findings({"single": grown, "fused-lit": table(0.005, 0.1)})
         assert (ends.verdict, fusion.verdict) == ("reproduced", "reproduced")
-        ends, fusion = ch8_noise.noise_findings({"single": flat, "fused-lit": table(0.02, 0.0)})
+        ends, fusion = findings.noise_findings({"single": flat, "fused-lit": table(0.02, 0.0)})
         assert (ends.verdict, fusion.verdict) == ("not reproduced", "not reproduced")
 
     def test_designer_at_the_thesiss_noise(self):
         # A quiet system needs one step, the same one at 0.25 rad the thesis's four; 32 fringes
         # are lost there.
         quiet = table(0.0138, 0.5)
-        chosen = ch8_noise.sequences(quiet, 1024)
+        chosen = noise.sequences(quiet, 1024)
         assert chosen["thesis"] == chosen["raised"] == (1, 2, 4, 8, 16)
         assert len(chosen["measured"]) == 2
-        assert ch8_noise.sequence_finding(quiet, 1024).verdict == "in part"
-        loud = ch8_noise.raised(quiet, 0.25)
-        assert ch8_noise.sequence_finding(loud, 1024).verdict == "reproduced"
+        assert findings.sequence_finding(quiet, 1024).verdict == "in part"
+        loud = noise.raised(quiet, 0.25)
+        assert findings.sequence_finding(loud, 1024).verdict == "reproduced"
 
     def test_a_sequence_can_fail_to_come_out(self):
         # As much noise at all heights: raised to 0.25 rad, 32 fringes are not lost.  The
         # thesis's own numbers lead to its sequence whatever is measured, and decide nothing.
         flat = table(1e-6, 0.0)
-        chosen = ch8_noise.sequences(flat, 1024)
-        assert chosen["thesis"] == ch8_noise.THESIS_SEQUENCE
-        assert ch8_noise.THESIS_SEQUENCE not in (chosen["measured"], chosen["raised"])
-        finding = ch8_noise.sequence_finding(flat, 1024)
+        chosen = noise.sequences(flat, 1024)
+        assert chosen["thesis"] == noise.THESIS_SEQUENCE
+        assert noise.THESIS_SEQUENCE not in (chosen["measured"], chosen["raised"])
+        finding = findings.sequence_finding(flat, 1024)
         assert finding.verdict == "not reproduced"
         assert "another sequence" in finding.why
-        assert "same sequence" in ch8_noise.sequence_finding(table(0.0138, 0.5), 1024).why
+        assert "same sequence" in findings.sequence_finding(table(0.0138, 0.5), 1024).why
 
     def test_pictures_and_tables(self):
         found = {"single": table(0.01, 1.0), "fused-lit": table(0.01, 0.0)}
-        assert len(ch8_noise.noise_table(found).rows) == 12
-        assert ch8_noise.noise_picture(found).png.startswith(b"\x89PNG")
+        assert len(report.noise_table(found).rows) == 12
+        assert report.noise_picture(found).png.startswith(b"\x89PNG")
 
 
 class TestPlane:
@@ -79,7 +77,7 @@ class TestPlane:
         rng = np.random.default_rng(0)
         x, y = rng.uniform(-0.2, 0.2, (2, 5000))
         z = 0.1 + 0.02 * x - 0.03 * y + rng.normal(0.0, 1e-4, 5000)
-        fit = ch8_plane.fit_plane(np.column_stack((x, y, z)))
+        fit = plane.fit_plane(np.column_stack((x, y, z)))
         # Five deviations of the mean and of the slopes (1e-4 / (0.115 sqrt(5000))).
         assert fit.height_mm == pytest.approx(z.mean(), abs=1e-12)
         assert fit.slope == pytest.approx((0.02, -0.03), abs=7e-5)
@@ -90,23 +88,23 @@ class TestPlane:
     )
     def test_bad_points(self, points):
         with pytest.raises(InputError, match="plane"):
-            ch8_plane.fit_plane(points)
+            plane.fit_plane(points)
 
     def test_verdicts(self):
         z = np.repeat(np.linspace(-0.25, 0.25, 11), 4)
         rng = np.random.default_rng(1)
         near = 1e-4 * (1.0 + 50.0 * z**2) * rng.choice([-1.0, 1.0], (1, 44))
         off = near + rng.normal(0.0, 1.5e-3, (40, 44))
-        under, ends = ch8_plane.plane_findings(z, off, near)
+        under, ends = findings.plane_findings(z, off, near)
         assert under.verdict == "reproduced"
         # The median of |N(0, 1.5)| is 1.01 um; its own scatter over 24 positions is 0.25 um.
         assert under.ours == pytest.approx(1.01, abs=0.15)
         assert ends.verdict == "in part"
-        assert ch8_plane.plane_findings(z, 3.0 * off, near)[0].verdict == "not reproduced"
-        assert ch8_plane.plane_findings(z, near, near)[1].verdict == "reproduced"
+        assert findings.plane_findings(z, 3.0 * off, near)[0].verdict == "not reproduced"
+        assert findings.plane_findings(z, near, near)[1].verdict == "reproduced"
         assert "0, 50, 450 and 500" in ends.criterion
-        assert ch8_plane.plane_picture(z, off, near).png.startswith(b"\x89PNG")
-        assert len(ch8_plane.plane_table(z, {"off": off}).rows) == 11
+        assert report.plane_picture(z, off, near).png.startswith(b"\x89PNG")
+        assert len(report.plane_table(z, {"off": off}).rows) == 11
 
     def test_in_95_percent_of_the_draws_means_that(self):
         # Two draws of 40 above the limit are 5 %: 95 % of the draws are under it.  Three are not.
@@ -114,18 +112,18 @@ class TestPlane:
         for above, verdict in ((2, "reproduced"), (3, "not reproduced")):
             off = np.full((40, 44), 1e-3)
             off[:above] = 3e-3
-            assert ch8_plane.plane_findings(z, off, off[:1])[0].verdict == verdict
+            assert findings.plane_findings(z, off, off[:1])[0].verdict == verdict
 
     def test_the_ends_are_those_that_the_thesis_names(self):
         # Large errors at 100 um of 500, which is neither end nor middle, decide nothing.
         z = np.repeat(np.linspace(-0.25, 0.25, 11), 4)
         off = np.full((40, 44), 1e-3)
         off[:, np.abs(z) > 0.19] = 2e-3
-        expected = ch8_plane.plane_findings(z, off, off[:1])
+        expected = findings.plane_findings(z, off, off[:1])
         assert expected[1].verdict == "reproduced"
         assert expected[1].ours == pytest.approx(2.0)
         off[:, np.abs(z + 0.15) < 0.01] = 0.05
-        assert ch8_plane.plane_findings(z, off, off[:1]) == expected
+        assert findings.plane_findings(z, off, off[:1]) == expected
 
 
 def quadratic_experiment():
@@ -154,17 +152,17 @@ def experiment():
 
 @pytest.fixture(scope="module")
 def calibrated(experiment):
-    return {s: ch8_models.calibrations(experiment, s, 4, 0) for s in ch8_models.STAGES}
+    return {s: models.calibrations(experiment, s, 4, 0) for s in STAGES}
 
 
 class TestModels:
     def test_an_exact_stage_leaves_the_points(self, experiment):
         rng = np.random.default_rng(0)
-        points = ch8_models.disturbed(experiment, "exact", rng)
+        points = models.disturbed(experiment, "exact", rng)
         assert np.array_equal(points.world, experiment.points.world)
 
     def test_errors_are_those_of_positions(self, experiment):
-        points = ch8_models.disturbed(experiment, "all axes", np.random.default_rng(0))
+        points = models.disturbed(experiment, "all axes", np.random.default_rng(0))
         moved = (experiment.points.world - points.world).reshape(66, 16, 3)
         # All dots of a position together.
         np.testing.assert_allclose(moved, np.broadcast_to(moved[:, :1], moved.shape), atol=1e-12)
@@ -172,12 +170,12 @@ class TestModels:
         assert np.std(moved[:, 0]) == pytest.approx(1.5e-3, rel=0.2)
 
     def test_an_axis_that_stands_still_has_no_error_but_the_dots(self, experiment):
-        points = ch8_models.disturbed(experiment, "moved axes", np.random.default_rng(0))
+        points = models.disturbed(experiment, "moved axes", np.random.default_rng(0))
         moved = (experiment.points.world - points.world).reshape(6, 11, 16, 3)
         # In x the same for a dot at all positions; in y the same for all heights of a row.
         assert np.ptp(moved[..., 0], axis=(0, 1)).max() < 1e-12
         assert np.ptp(moved[..., 1], axis=1).max() < 1e-12
-        assert np.std(moved[0, 0, :, 0]) == pytest.approx(ch8_models.DOT_SIGMA_MM, rel=0.6)
+        assert np.std(moved[0, 0, :, 0]) == pytest.approx(models.DOT_SIGMA_MM, rel=0.6)
         assert np.ptp(moved[..., 2], axis=2).max() < 1e-12
         assert np.std(moved[..., 0, 2]) == pytest.approx(1.5e-3, rel=0.35)
 
@@ -192,11 +190,11 @@ class TestModels:
 
     def test_z_is_the_worst_where_the_stage_moves_in_z(self, calibrated):
         assert calibrated["moved axes"].z_worst > 0.5
-        models, z_worst = ch8_models.model_findings(calibrated)
+        models, z_worst = findings.model_findings(calibrated)
         assert models.name == "ch8-quadratic"
         assert z_worst.verdict in ("reproduced", "in part")
-        assert len(ch8_models.model_table(calibrated).rows) == 9
-        assert ch8_models.model_picture(calibrated).png.startswith(b"\x89PNG")
+        assert len(report.model_table(calibrated).rows) == 9
+        assert report.model_picture(calibrated).png.startswith(b"\x89PNG")
 
 
 @pytest.fixture(scope="module")
@@ -231,30 +229,30 @@ class TestObjects:
         assert measured == pytest.approx(true, rel=0.1)
 
     def test_findings(self, known):
-        few = ch8_objects.object_finding(known, 1.0)
+        few = findings.object_finding(known, 1.0)
         assert few.verdict == "in part"
         assert few.ours == pytest.approx(0.12)
         # A preview's points count as those of the full camera.
-        assert ch8_objects.object_finding(known, 1.0 / 64.0).verdict == "reproduced"
-        assert ch8_objects.registration_finding([known]).verdict == "reproduced"
+        assert findings.object_finding(known, 1.0 / 64.0).verdict == "reproduced"
+        assert findings.registration_finding([known]).verdict == "reproduced"
         # The thesis's gear has 4.5 million points, not the coins' "more than 2".
         gear = replace(known, name="watch-gear")
         for share, verdict in ((1 / 28.0, "in part"), (1 / 38.0, "reproduced")):
-            finding = ch8_objects.object_finding(gear, share)
+            finding = findings.object_finding(gear, share)
             assert (finding.verdict, finding.thesis) == (verdict, 4.5)
             assert "4.5 million points (fig. 37)" in finding.statement
             assert "a choice of this run" in finding.criterion
         # Without registration.
         same = replace(known, name="coin-n", after_mm=known.before_mm)
-        assert ch8_objects.registration_finding([same]).verdict == "not reproduced"
-        assert ch8_objects.registration_finding([known, same]).verdict == "in part"
+        assert findings.registration_finding([same]).verdict == "not reproduced"
+        assert findings.registration_finding([known, same]).verdict == "in part"
 
     def test_picture_and_cloud(self, known):
-        picture = ch8_objects.object_picture(known)
+        picture = report.object_picture(known)
         assert picture.png.startswith(b"\x89PNG")
         assert len(picture.png) < 250_000
-        assert ch8_objects.object_cloud(known, 0).points.shape == (30_000, 3)
-        assert len(ch8_objects.objects_table([known]).rows) == 1
+        assert report.object_cloud(known, 0).points.shape == (30_000, 3)
+        assert len(report.objects_table([known]).rows) == 1
 
 
 def test_binned_pixels_have_the_same_places():
@@ -265,7 +263,7 @@ def test_binned_pixels_have_the_same_places():
 
 
 def test_the_views_are_the_thesiss():
-    assert {name: len(places) for name, places in ch8.VIEWS.items()} == ch8_objects.THESIS_VIEWS
+    assert {name: len(places) for name, places in ch8.VIEWS.items()} == findings.THESIS_VIEWS
     coin, letter = (np.array(ch8.VIEWS[name]) for name in ("coin-3", "coin-n"))
     assert np.ptp(coin, axis=0)[1] == 0.0
     assert np.all(np.ptp(letter, axis=0) > 0.0)
