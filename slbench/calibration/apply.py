@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from slbench.calibration.models.model import CalibrationModel
 from slbench.cloud.triangulation import PointCloud
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.patterns import Axis, PhaseMap
 
@@ -32,6 +33,8 @@ class CalibratedCloud:
     cloud: PointCloud
     model_std: Array
     extrapolated: NDArray[np.bool_]
+
+    __repr__ = brief
 
     @property
     def sigma_mm(self) -> Array:

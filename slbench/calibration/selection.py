@@ -53,6 +53,7 @@ from slbench.calibration.robust import (
     irls,
 )
 from slbench.calibration.scales import gross_points, predictive_scale
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.random import generator
 
@@ -121,6 +122,8 @@ class Selection:
     validation: NDArray[np.intp]
     gross: NDArray[np.intp]
     seed: int
+
+    __repr__ = brief
 
     @property
     def isometric(self) -> dict[str, float]:

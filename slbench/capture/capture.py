@@ -36,6 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core import resources
+from slbench.core.display import block
+from slbench.core.drawing import figure
 from slbench.core.errors import InputError
 from slbench.core.io import read_grey, read_toml, write_png, write_toml
 from slbench.core.modules import load_modules
@@ -134,6 +136,16 @@ class Capture:
                 raise InputError("rig", f"devices {self.pair}", self.rig.only)
             _check_sizes(self.rig, frames.shape, self.sequence.panel)
 
+    def __repr__(self) -> str:
+        count, rows, columns = self.frames.shape
+        known = [name for name in ("noise", "rig") if getattr(self, name) is not None]
+        time = "" if self.exposure_s is None else f"exposure {1e3 * self.exposure_s:.4g} ms, "
+        return block(
+            f"Capture of {count} frames {columns} x {rows} px, {self.bit_depth} bit: "
+            f"{{{self.sequence.name}}} along {' and '.join(self.sequence.axes) or 'no axis'}",
+            f"{time}known: {' and '.join(known) or 'neither noise nor rig'}",
+        )
+
     @property
     def least_modulation_dn(self) -> float:
         """Least modulation of a pixel that is measured: `min_modulation_dn` or the default."""
@@ -158,6 +170,10 @@ class Capture:
             min_modulation=self.least_modulation_dn if min_modulation is None else min_modulation,
             **options,
         )
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: the frames, or an even choice of many."""
+        return figure(self)
 
     def save(self, folder: str | Path) -> None:
         """Write frames, manifest and rig to `folder`; the manifest comes last."""

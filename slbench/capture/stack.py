@@ -27,6 +27,8 @@ from slbench.capture.focus import Focus
 from slbench.capture.fusion import Alignment, FusionWeights, selective_weights
 from slbench.capture.fusion.measures import check_window
 from slbench.core import resources
+from slbench.core.display import block, brief
+from slbench.core.drawing import figure
 from slbench.core.errors import InputError
 from slbench.core.io import read_grey, read_toml, write_toml
 from slbench.patterns import NoiseModel, PhaseMap
@@ -63,6 +65,8 @@ class FusedCapture:
 
     capture: Capture
     weights: FusionWeights
+
+    __repr__ = brief
 
     def decode(self, **options: Any) -> PhaseMap:
         """Decode the fused frames; deviations are lessened by what the average gains."""
@@ -108,6 +112,12 @@ class FocusStack:
 
     def __len__(self) -> int:
         return len(self.captures)
+
+    def __repr__(self) -> str:
+        focus = "" if self.focus is None else repr(self.focus)
+        return block(
+            f"FocusStack of {len(self)} captures; the first:", repr(self.captures[0]), focus
+        )
 
     @property
     def lit_frame(self) -> int:
@@ -201,6 +211,10 @@ class FocusStack:
             first.pair,
         )
         return FusedCapture(capture, weights)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: a lit frame of every setting."""
+        return figure(self)
 
     def save(self, folder: str | Path) -> None:
         """Write one capture folder a setting, and ``stack.toml`` last."""

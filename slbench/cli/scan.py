@@ -100,14 +100,14 @@ def _scan_table(result: Any) -> Table:
     """Lay a scan's score out for people."""
     from rich.table import Table
 
-    from slbench.report.pages.scan import overall_rows, seconds
+    from slbench.report.pages.scan import seconds
 
     score = result.score
     table = Table(title=f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}")
     table.add_column("quantity")
     table.add_column("value", justify="right")
     um = 1e3
-    rows = overall_rows(result)
+    rows = result.rows()
     rows += [
         (
             f"step {step.nominal_mm:g} mm",

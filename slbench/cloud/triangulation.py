@@ -11,11 +11,13 @@ the coordinate's standard deviation it gives the covariance that noise in the ph
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.core.display import block, length
+from slbench.core.drawing import figure
 from slbench.core.errors import InputError
 from slbench.patterns import PhaseMap
 from slbench.rig import Device, Rig
@@ -60,6 +62,18 @@ class PointCloud:
     def __len__(self) -> int:
         return len(self.points)
 
+    def __repr__(self) -> str:
+        rows, columns = self.shape
+        head = f"PointCloud of {len(self)} points, camera {columns} x {rows} px"
+        if not len(self):
+            return block(head)
+        limits = zip("xyz", self.points.min(axis=0), self.points.max(axis=0), strict=True)
+        return block(
+            head,
+            ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in limits) + " mm",
+            f"predicted deviation {length(float(np.median(self.sigma_total_mm)))} (median)",
+        )
+
     @property
     def covariance(self) -> Array:
         """Covariance of each point, (N, 3, 3), mm^2: ``sum_a sigma_a^2 s_a s_a^T``."""
@@ -75,6 +89,10 @@ class PointCloud:
     def sigma_total_mm(self) -> Array:
         """Predicted standard deviation of the distance to the true point, (N,), mm."""
         return np.sqrt(np.sum(self.sigma_mm**2, axis=1))
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: heights, predicted deviations, the points from above."""
+        return figure(self)
 
     def image(self, values: NDArray) -> Array:
         """Spread values (N,) or (N, k) over the camera image, NaN elsewhere."""

@@ -5,9 +5,10 @@ They know nothing of HTML; :mod:`slbench.report.page` lays them out.
 
 from __future__ import annotations
 
+import html
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
@@ -62,6 +63,20 @@ class Table:
         if self.note:
             lines += ["", self.note]
         return "\n".join(lines) + "\n"
+
+    def _repr_html_(self) -> str:
+        """Return the table as a notebook shows it."""
+
+        def row(cells: Sequence[str], tag: str = "td") -> str:
+            texts = (f"<{tag}>{html.escape(cell)}</{tag}>" for cell in cells)
+            return f"<tr>{''.join(texts)}</tr>"
+
+        body = "".join(map(row, self.texts()))
+        note = f"<p>{html.escape(self.note)}</p>" if self.note else ""
+        return (
+            f"<table><caption>{html.escape(self.title)}</caption>"
+            f"<thead>{row(self.columns, 'th')}</thead><tbody>{body}</tbody></table>{note}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, numbers in full."""

@@ -15,6 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.display import block, numbers
 from slbench.core.errors import InputError
 
 #: Name of the face that heights are taken from.
@@ -68,6 +69,10 @@ class Mesh:
         faces.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
+
+    def __repr__(self) -> str:
+        size = numbers(self.bounds[1] - self.bounds[0], " x ")
+        return f"<Mesh of {len(self.vertices)} vertices and {len(self.faces)} faces, {size} mm>"
 
     @cached_property
     def bounds(self) -> NDArray[np.float64]:
@@ -241,6 +246,15 @@ class Artefact:
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "parameters", dict(self.parameters))
         object.__setattr__(self, "certified", dict(self.certified))
+
+    def __repr__(self) -> str:
+        certified = [f"{name} {value:.6g}" for name, value in self.certified.items()]
+        more = f", {len(certified) - 6} more" if len(certified) > 6 else ""
+        return block(
+            f"Artefact {self.name} ({self.kind})",
+            repr(self.mesh),
+            f"certified: {', '.join(certified[:6]) or 'nothing'}{more}",
+        )
 
     @property
     def planes(self) -> tuple[PlaneFeature, ...]:

@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.core.display import block, share
+from slbench.core.drawing import figure
 from slbench.core.errors import InputError
 from slbench.patterns.base import Axis, FloatArray, Found, Observed
 from slbench.patterns.noise import NoiseModel
@@ -58,6 +60,21 @@ class PhaseMap:
     mask: NDArray[np.bool_]
     relative: dict[Axis, list[tuple[int, FloatArray]]]
     evidence: dict[int, dict[str, FloatArray]] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        rows, columns = self.mask.shape
+        lines = [
+            f"{axis}: {np.nanmin(values):.1f} to {np.nanmax(values):.1f} px, "
+            f"predicted deviation {np.nanmedian(self.sigma[axis]):.3g} px"
+            for axis, values in self.coordinate.items()
+            if self.mask.any()
+        ]
+        head = f"PhaseMap {columns} x {rows} px: {share(self.mask.mean())} measured"
+        return block(head, *lines)
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: panel coordinates, their deviations, modulation."""
+        return figure(self)
 
 
 def decode(

@@ -9,6 +9,7 @@ looked at.  The short text of a sequence, such as ``"1,10,50@4"``, follows the t
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.checks import require_keys, require_whole
+from slbench.core.display import block
+from slbench.core.document import Table
+from slbench.core.drawing import figure
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
 from slbench.patterns.base import (
@@ -86,6 +90,22 @@ class PatternSequence:
                 raise InputError(where, "a pattern code", type(part).__name__)
             with _located(where):
                 part.check(self.panel, self.parts[:i])
+
+    def __repr__(self) -> str:
+        (width, height), axes = self.panel, " and ".join(self.axes) or "no axis"
+        return block(
+            f"PatternSequence {{{self.name}}}: {self.n_frames} frames along {axes} "
+            f"on a panel of {width} x {height} px"
+        )
+
+    def _repr_html_(self) -> str:
+        counts = Counter(frame.part_index for frame in self.frames())
+        rows = tuple((repr(part), counts[k]) for k, part in enumerate(self.parts))
+        return Table(self.name, ("part", "frames"), rows)._repr_html_()
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: what the panel shows, frame by frame."""
+        return figure(self)
 
     def size(self, axis: Axis) -> int:
         """Return the number of panel pixels along `axis`: W for "u", H for "v"."""

@@ -26,6 +26,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.display import length, numbers
 from slbench.core.errors import InputError
 from slbench.core.types import Angle, Distortion, Pair, PanelBits, Pixels, Positive, Size
 from slbench.core.values import Value
@@ -80,6 +81,17 @@ class Device(Value):
         if self.principal_point is None:
             centre = ((self.width - 1) / 2.0, (self.height - 1) / 2.0)
             object.__setattr__(self, "principal_point", centre)
+
+    def __repr__(self) -> str:
+        lens, pitch = self.lens, f"{1e3 * self.pitch_mm[0]:.4g}"
+        if self.pitch_mm[1] != self.pitch_mm[0]:
+            pitch += f" x {1e3 * self.pitch_mm[1]:.4g}"
+        kind = "" if lens.kind == "perspective" else f"{lens.kind} "
+        return (
+            f"<{type(self).__name__} {self.width} x {self.height} px of {pitch} µm, {kind}lens "
+            f"{length(lens.focal_length_mm)} f/{lens.f_number:.3g} in focus at "
+            f"{length(lens.focus_distance_mm)}, at ({numbers(self.pose.position)}) mm>"
+        )
 
     # -- the panel ---------------------------------------------------------------------
 
@@ -313,7 +325,7 @@ class Device(Value):
         return (1.0 + np.sum(xy * xy, axis=-1)) ** -2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Camera(Device):
     """A camera; see :class:`Device`."""
 
@@ -339,7 +351,7 @@ class Camera(Device):
         return np.pi / (4.0 * number**2) * self.pitch_mm[0] * self.pitch_mm[1]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Projector(Device):
     """A projector: an inverse camera with a light source.
 

@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.display import numbers
 from slbench.core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -45,6 +46,10 @@ class Pose:
             raise InputError("pose position", "three finite numbers (mm)", position.tolist())
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "position", position)
+
+    def __repr__(self) -> str:
+        x, y, z = (numbers(axis) for axis in self.rotation.T)
+        return f"<Pose at ({numbers(self.position)}) mm, x ({x}), y ({y}), z ({z})>"
 
     def to_world(self, points: ArrayLike) -> Array:
         """Map local points (..., 3) to world points (..., 3)."""

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.display import block, numbers
 from slbench.core.errors import InputError
 from slbench.core.types import Finite, Positive
 from slbench.core.values import Value
@@ -245,6 +246,14 @@ class Rig:
         """Place `camera` and `projector` (their poses are replaced) by the design variables."""
         camera_pose, projector_pose = design.poses()
         return cls(camera.posed(camera_pose), projector.posed(projector_pose), volume_mm)
+
+    def __repr__(self) -> str:
+        size = numbers(self.volume_mm, " x ")
+        return block(
+            f"Rig with a volume of {size} mm, triangulation angle {np.rad2deg(self.angle):.1f}°",
+            repr(self.camera),
+            repr(self.projector),
+        )
 
     @property
     def camera_distance(self) -> float:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Self
 
 from slbench.capture.focus import Focus
+from slbench.core.display import block, numbers
 from slbench.core.errors import InputError
 from slbench.core.types import Bounces, Fraction, MinLen, NotNegative, Positive, Samples, Vibration
 from slbench.core.values import Value
@@ -47,6 +48,11 @@ class SceneObject(Value):
             if part not in self.artefact.parts:
                 known = ", ".join(self.artefact.parts)
                 raise InputError(f"{self.artefact.name}: materials", f"parts {known}", part)
+
+    def __repr__(self) -> str:
+        looks = {self.material.bsdf, *(material.bsdf for material in self.materials.values())}
+        where = numbers(self.pose.position)
+        return f"<SceneObject {self.artefact.name}, {' and '.join(sorted(looks))}, at ({where}) mm>"
 
 
 @dataclass(frozen=True)
@@ -128,6 +134,18 @@ class Scene(Value):
                 f"a sequence for the projector's {panel[0]} x {panel[1]} panel",
                 f"{self.sequence.panel[0]} x {self.sequence.panel[1]}",
             )
+
+    def __repr__(self) -> str:
+        camera, projector = self.rig.camera, self.rig.projector
+        names = [item.artefact.name for item in self.objects]
+        return block(
+            f"Scene {self.name}: {', '.join(names[:4])}{' ...' if len(names) > 4 else ''}",
+            f"camera {camera.width} x {camera.height} px, projector {projector.width} x "
+            f"{projector.height} px, triangulation angle {np.rad2deg(self.rig.angle):.1f}°",
+            f"patterns {{{self.sequence.name}}}, {self.sequence.n_frames} frames; "
+            f"{self.samples} samples a pixel",
+            "" if self.focus is None else f"{len(self.focus)} focus settings",
+        )
 
     def with_patterns(self, text: str, shifts: int = 3, axes: str = "u") -> Self:
         """Return the scene with another pattern sequence (see `PatternSequence.parse`)."""

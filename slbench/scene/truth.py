@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.core.display import block, share
 from slbench.core.errors import InputError
 from slbench.core.io import read_exr, write_exr
 
@@ -59,6 +60,15 @@ class GroundTruth:
     object_id: NDArray[np.int32]
     camera_coc: Array
     projector_coc: Array
+
+    def __repr__(self) -> str:
+        rows, columns = self.status.shape
+        shares = (f"{share(np.mean(self.status == one))} {one.name.lower()}" for one in Status)
+        count = len(np.unique(self.object_id[self.object_id >= 0]))
+        return block(
+            f"GroundTruth {columns} x {rows} px: {', '.join(shares)}",
+            f"{count} {'object' if count == 1 else 'objects'} in view",
+        )
 
     @property
     def lit(self) -> NDArray[np.bool_]:

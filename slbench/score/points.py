@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.cloud.triangulation import PointCloud
+from slbench.core.display import block, length, share
+from slbench.core.document import Table
 from slbench.patterns import PhaseMap
 from slbench.rig import Rig
 from slbench.scene.model import SceneObject
@@ -29,6 +31,8 @@ from slbench.score.features import (
 )
 
 Array = NDArray[np.float64]
+_UM = 1e3
+_FEATURES = ("steps", "planes", "spheres", "spacings")
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,35 @@ class Score:
     planes: list[PlaneScore] = field(default_factory=list)
     spheres: list[SphereScore] = field(default_factory=list)
     spacings: list[SpacingScore] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        counts = {name: len(getattr(self, name)) for name in _FEATURES}
+        features = ", ".join(
+            f"{count} {name if count > 1 else name[:-1]}" for name, count in counts.items() if count
+        )
+        return block(
+            f"Score of {self.points} points: {share(self.completeness)} of the lit pixels, "
+            f"{self.false_points} false, {self.outliers} outliers",
+            f"distance from the truth: median {length(self.median_abs_mm)}, "
+            f"RMS {length(self.rms_mm)}, 95 % within {length(self.p95_abs_mm)}",
+            f"predicted from noise alone: {length(self.predicted_sigma_mm)}",
+            f"features: {features}" if features else "",
+        )
+
+    def _repr_html_(self) -> str:
+        return Table("Score", ("quantity", "value"), tuple(self.rows()))._repr_html_()
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the numbers of the whole cloud as they are shown, (quantity, value)."""
+        return [
+            ("points", f"{self.points}"),
+            ("completeness", f"{100 * self.completeness:.2f} % of lit pixels"),
+            ("median error", f"{_UM * self.median_abs_mm:.2f} µm"),
+            ("95th percentile", f"{_UM * self.p95_abs_mm:.2f} µm"),
+            ("RMS error, edges included", f"{_UM * self.rms_mm:.2f} µm"),
+            ("RMS error, smooth surface", f"{_UM * self.smooth_rms_mm:.2f} µm"),
+            ("predicted from noise alone", f"{_UM * self.predicted_sigma_mm:.2f} µm"),
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON."""

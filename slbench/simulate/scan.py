@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack, FusedCapture, WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
+from slbench.core.display import block
+from slbench.core.document import Table
+from slbench.core.drawing import figure
 from slbench.core.errors import InputError
 from slbench.core.random import derived_seed
 from slbench.patterns import Flat, PatternSequence, PhaseMap
@@ -57,6 +60,27 @@ class Scan:
     stack: FocusStack | None = None
     fused: FusedCapture | None = None
     fusion: FusionScore | None = None
+
+    def __repr__(self) -> str:
+        sequence, transport = self.scene.sequence, self.transport
+        return block(
+            f"Scan of {self.scene.name}: {{{sequence.name}}}, {sequence.n_frames} frames "
+            f"{transport.shape[1]} x {transport.shape[0]} px, seed {self.seed}",
+            repr(self.score),
+            f"renderer's floor {self.floor_rms_px:.4f} px; {self.seconds['total']:.1f} s",
+        )
+
+    def _repr_html_(self) -> str:
+        title = f"{self.scene.name}, patterns {{{self.scene.sequence.name}}}"
+        return Table(title, ("quantity", "value"), tuple(self.rows()))._repr_html_()
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the numbers of the whole scan as they are shown, (quantity, value)."""
+        return [*self.score.rows(), ("renderer's own floor", f"{self.floor_rms_px:.4f} px")]
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: frame, phase, panel coordinate, heights, errors."""
+        return figure(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""

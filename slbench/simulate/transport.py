@@ -22,6 +22,7 @@ import scipy.sparse
 from numba import get_num_threads, njit, prange
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.display import block
 from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
 
@@ -199,6 +200,14 @@ class LightTransport:
     ambient: NDArray[np.float32]
     panel: tuple[int, int]
     samples: int
+
+    def __repr__(self) -> str:
+        (rows, columns), (width, height) = self.shape, self.panel
+        entries = (f"{name}: {one.indices.size} entries" for name, one in self.marginals.items())
+        return block(
+            f"LightTransport from a panel of {width} x {height} px to {columns} x {rows} px",
+            f"{', '.join(entries)}; {self.samples} samples a pixel",
+        )
 
     @property
     def shape(self) -> tuple[int, int]:

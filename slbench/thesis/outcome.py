@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from slbench.core.display import brief
 from slbench.core.document import Cloud, Page, Part, Picture, Table
 from slbench.core.io import atomic_folder, provenance, write_json
 from slbench.core.io.atomic import write_bytes
@@ -109,6 +110,8 @@ class Outcome:
     seed: int = 0
     seconds: Mapping[str, float] = field(default_factory=dict)
     preview: bool = False
+
+    __repr__ = brief
 
     @property
     def summary(self) -> Table:

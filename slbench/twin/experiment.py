@@ -24,6 +24,7 @@ from slbench.calibration.target.indexing import index_grid
 from slbench.calibration.target.remap import remap
 from slbench.capture.capture import Capture
 from slbench.capture.stack import WeightSource
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.random import Word, derived_seed, generator
 from slbench.patterns import Axis, PhaseMap
@@ -63,6 +64,8 @@ class Experiment:
     position: NDArray[np.intp]
     positions_mm: Array
     detection_px: Array
+
+    __repr__ = brief
 
     @property
     def without_dots(self) -> NDArray[np.intp]:

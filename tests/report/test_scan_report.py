@@ -15,7 +15,7 @@ from slbench.core.document import Cloud, Picture, Table
 from slbench.report.cloud import cloud_view
 from slbench.report.page import render_page
 from slbench.report.pages.calibration import calibration_page
-from slbench.report.pages.scan import overall_rows, scan_page
+from slbench.report.pages.scan import scan_page
 from slbench.simulate.scan import scan
 
 
@@ -44,7 +44,7 @@ def the_cloud(page):
 def test_the_tables_have_the_scores_numbers():
     result, found = block(), tables(block_page())
     assert list(found) == ["Result", "Steps", "Planes"]
-    assert found["Result"].rows[:-1] == tuple(overall_rows(result))
+    assert found["Result"].rows[:-1] == tuple(result.rows())
     for row, step in zip(found["Steps"].rows, result.score.steps, strict=True):
         shown = dict(zip(found["Steps"].columns, row, strict=True))
         assert shown["nominal / mm"] == step.nominal_mm

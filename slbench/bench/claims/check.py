@@ -15,6 +15,7 @@ from slbench.bench.claims.file import Claim, load_claims
 from slbench.bench.claims.pools import Pools
 from slbench.bench.claims.verdicts import MAX_REPEATS, Verdict, judge_each, judge_mean
 from slbench.bench.statistics import Interval
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -58,6 +59,8 @@ class Result:
     bounds: tuple[Array, ...]
     seconds: float
     regression: Regression | None = None
+
+    __repr__ = brief
 
     @property
     def outcome(self) -> str:

@@ -31,6 +31,7 @@ from pydantic import Field
 from slbench.bench.claims.quantities import SPEED_FIELDS, family, pattern_set, unit, unknown
 from slbench.bench.claims.verdicts import least_repeats
 from slbench.core import resources
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
@@ -166,6 +167,8 @@ class Claim:
     equal: Literal["frames", "photons"] | None
     slow: bool
     readme: str | None
+
+    __repr__ = brief
 
     @property
     def quantities(self) -> tuple[str, ...]:

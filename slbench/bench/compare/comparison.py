@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.sets import Equal
 from slbench.bench.compare.tiles import Pair
-from slbench.core.document import Cloud
+from slbench.core.display import block, brief, length, share
+from slbench.core.document import Cloud, Table
+from slbench.core.drawing import figure
 from slbench.core.errors import InputError
 from slbench.patterns import PatternSequence
 
 Array = NDArray[np.float64]
+#: Sets that a comparison's ``repr`` has lines for.
+_SHOWN_SETS = 5
 
 
 class Step(NamedTuple):
@@ -100,6 +104,8 @@ class SetResult:
     error_mm: Array
     note: str = ""
 
+    __repr__ = brief
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, without the maps."""
         return {
@@ -169,6 +175,36 @@ class Comparison:
     cloud: Cloud
     seconds: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        lines = [
+            f"{{{one.name}}}: deviation {length(one.std_median_mm)}, "
+            f"error {length(one.error_median_mm)}, {share(one.completeness)} complete"
+            for one in self.sets[:_SHOWN_SETS]
+        ]
+        if len(self.sets) > _SHOWN_SETS:
+            lines.append(f"... {len(self.sets) - _SHOWN_SETS} more")
+        count = f"{len(self.sets)} pattern {'set' if len(self.sets) == 1 else 'sets'}"
+        return block(f"Comparison of {count} on {self.scene}: {self.repeats} repeats", *lines)
+
+    def _repr_html_(self) -> str:
+        columns = ("set", "frames", "deviation / µm", "error / µm", "complete / %")
+        rows = tuple(
+            (
+                one.name,
+                one.frames,
+                1e3 * one.std_median_mm,
+                1e3 * one.error_median_mm,
+                100.0 * one.completeness,
+            )
+            for one in self.sets
+        )
+        note = f"Medians over {self.pixels} pixels, {self.repeats} repeats."
+        return Table(f"{self.scene}: pattern sets compared", columns, rows, note)._repr_html_()
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: a map of every set, distributions, medians."""
+        return figure(self)
 
     def __getitem__(self, name: str) -> SetResult:
         """Return the result of the set of that name.

@@ -25,6 +25,7 @@ from slbench.calibration.models.polynomials import (
     checked_inputs,
     polynomial_form,
 )
+from slbench.core.display import block, length
 from slbench.core.errors import InputError
 from slbench.core.io import read_json, write_json
 from slbench.core.validation import Finite, Parameters, validated
@@ -78,6 +79,14 @@ class CalibrationModel:
     standardisation: Standardisation
     coordinates: tuple[CoordinateModel, CoordinateModel, CoordinateModel]
     domain: Domain
+
+    def __repr__(self) -> str:
+        lines = (
+            f"{name}: {one.form.name}, {len(one.form)} coefficients, "
+            f"residuals {length(one.residual_std)}"
+            for name, one in zip(COORDINATES, self.coordinates, strict=True)
+        )
+        return block(f"CalibrationModel from camera pixel and panel {self.axes}", *lines)
 
     @property
     def form(self) -> PolynomialForm:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.calibration.models.polynomials import VARIABLES, Axes, checked_inputs
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_table, write_table
 
@@ -36,6 +37,8 @@ class CalibrationPoints:
 
     pixels: Array
     world: Array
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         pixels = np.asarray(self.pixels, dtype=np.float64)

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from slbench.calibration.target.edges import SAMPLES_AT_ONCE, Ellipses, locate, refine, sample_rays
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -89,6 +90,8 @@ class Dots:
     edge_width: Array
     coverage: Array
     partial: NDArray[np.bool_]
+
+    __repr__ = brief
 
     def __len__(self) -> int:
         return len(self.centres)

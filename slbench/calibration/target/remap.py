@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.patterns import Axis, PhaseMap
 
@@ -49,6 +50,8 @@ class PanelPoints:
     axes: tuple[Axis, ...]
     coordinates: Array
     sd: Array
+
+    __repr__ = brief
 
 
 def remap(

@@ -14,6 +14,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from slbench.capture.fusion.stack import Stack, frames
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -50,6 +51,8 @@ class Alignment:
     transforms: FloatArray
     correlation: FloatArray
     reference: int
+
+    __repr__ = brief
 
     def apply(self, stack: Stack) -> Stack:
         """Return a stack seen through the alignment.

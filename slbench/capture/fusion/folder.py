@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_colour
 
@@ -33,6 +34,8 @@ class Photographs:
     files: tuple[Path, ...]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
+
+    __repr__ = brief
 
     @classmethod
     def open(cls, folder: str | Path) -> "Photographs":

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.fusion.stack import Stack, frames
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 
 FloatImage = NDArray[np.float32]
@@ -34,6 +35,8 @@ class PyramidSelection:
 
     choice: tuple[NDArray[np.uint16], ...]
     count: int
+
+    __repr__ = brief
 
     @property
     def noise_gain(self) -> float:

@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.capture.fusion import _kernels
 from slbench.capture.fusion.measures import check_measure, measure_into
 from slbench.capture.fusion.stack import Stack, frames
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 
 FloatArray = NDArray[np.float64]
@@ -54,6 +55,8 @@ class FusionWeights:
     weights: NDArray[np.uint16]
     focus: FloatArray
     selectivity_db: FloatArray
+
+    __repr__ = brief
 
     @cached_property
     def _sums(self) -> tuple[FloatArray, FloatArray]:

@@ -38,6 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from slbench.cloud.registration.pairs import LEAST_PAIRS, Edge, Pair, View, align, voxel_size
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.rig import Pose
 
@@ -108,6 +109,8 @@ class Registration:
     sd_mm: Array
     overlaps: tuple[Overlap, ...]
     voxel_mm: float
+
+    __repr__ = brief
 
     @property
     def rms_start_mm(self) -> float:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from slbench.capture.capture import MANIFEST as CAPTURE
 from slbench.capture.capture import Capture
 from slbench.core.checks import require_whole
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_json
 from slbench.datasets.store import sample, shards
@@ -58,6 +59,8 @@ class Sample:
     drawn: tuple[str, ...]
     verify: bool = True
     allow_modules: bool = False
+
+    __repr__ = brief
 
     @property
     def number(self) -> int:

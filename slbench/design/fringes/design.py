@@ -28,6 +28,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.design.fringes.chain import any_error, unwrapping_chain
 from slbench.design.fringes.noise import PhaseNoise
@@ -109,6 +110,8 @@ class SequenceDesign:
     order_error_probability: float
     levels: Array = field(default_factory=lambda: np.empty(0))
     surfaces: tuple[dict[int, Array], ...] = ()
+
+    __repr__ = brief
 
     @property
     def fringes(self) -> tuple[int, ...]:

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.capture.capture import Capture
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_table, write_table
 from slbench.patterns import Axis, Placed
@@ -61,6 +62,8 @@ class PhaseNoise:
     sigma_rad: Array
     z_mm: Array
     shifts: int = 3
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         if self.fringes.ndim != 1 or len(self.fringes) == 0 or np.any(np.diff(self.fringes) < 1):

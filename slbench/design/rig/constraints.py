@@ -30,6 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.random import generator
 from slbench.design.rig.convex import separation
@@ -162,6 +163,8 @@ class Diagnosis:
     margins: Array
     highest: Array
     reasons: tuple[str, ...]
+
+    __repr__ = brief
 
     @property
     def feasible(self) -> bool:

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.design.rig._evaluate_maps import Maps
 from slbench.design.rig.constraints import CONSTRAINTS, placed_margins
@@ -75,6 +76,8 @@ class Evaluation:
     camera_distance_mm: Array
     projector_distance_mm: Array
     angle_deg: Array
+
+    __repr__ = brief
 
     def __len__(self) -> int:
         return len(self.mu_mm)

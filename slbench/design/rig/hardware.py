@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slbench.core import resources
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_table
 from slbench.core.validation import Finite, Parameters, validated
@@ -79,6 +80,8 @@ class Placement:
     angle: Array
     valid: NDArray[np.bool_]
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True)
 class Hardware:
@@ -117,6 +120,8 @@ class Hardware:
     circle_px: float = 1.0
     refocused: tuple[bool, bool] = (True, True)
     detector: DetectorModel = field(default_factory=Detector)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for name in ("camera", "projector"):

@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import differential_evolution
 from scipy.stats import rankdata
 
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.design.rig.constraints import CONSTRAINTS, diagnose, placed_margins
 from slbench.design.rig.evaluate import Evaluation, evaluate
@@ -74,6 +75,8 @@ class RigDesign:
     clusters: Clusters
     recommended: int
     seconds: float
+
+    __repr__ = brief
 
     def member(self, cluster: int | None = None) -> int:
         """Return the front's member that represents a cluster (default: the recommended).

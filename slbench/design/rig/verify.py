@@ -20,6 +20,7 @@ from scipy.stats import spearmanr
 
 from slbench import objects
 from slbench.cloud.triangulation import triangulate
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import atomic_path
 from slbench.design.rig.evaluate import Evaluation, evaluate
@@ -55,6 +56,8 @@ class Verification:
     rendered_mm: Array
     rendered_z_mm: Array
     rank_correlation: float
+
+    __repr__ = brief
 
 
 def rendered_errors(

@@ -16,6 +16,7 @@ import moocore
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
 
@@ -84,6 +85,8 @@ class Front:
     history: History
     stopped: str
     seen: FloatArray = field(repr=False)
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         for array in (self.x, self.f, self.unit, self.step, self.seen):

@@ -39,7 +39,7 @@ def scan_page(result: Scan) -> Page:
     -------
     Page
     """
-    rows = (*overall_rows(result), ("seconds", seconds(result)))
+    rows = (*result.rows(), ("seconds", seconds(result)))
     description = str(result.scene.specification.get("description", ""))
     parts: list[Part] = [Text("Scene", description)] if description else []
     parts.append(Table("Result", ("quantity", "value"), rows))
@@ -50,21 +50,6 @@ def scan_page(result: Scan) -> Page:
     parts += _pictures(result)
     title = f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}"
     return Page(title, tuple(parts), provenance(scan_parameters(result), result.seed))
-
-
-def overall_rows(result: Scan) -> list[tuple[str, str]]:
-    """Return the numbers of a whole scan as they are shown, (quantity, value)."""
-    score = result.score
-    return [
-        ("points", f"{score.points}"),
-        ("completeness", f"{100 * score.completeness:.2f} % of lit pixels"),
-        ("median error", f"{_UM * score.median_abs_mm:.2f} µm"),
-        ("95th percentile", f"{_UM * score.p95_abs_mm:.2f} µm"),
-        ("RMS error, edges included", f"{_UM * score.rms_mm:.2f} µm"),
-        ("RMS error, smooth surface", f"{_UM * score.smooth_rms_mm:.2f} µm"),
-        ("predicted from noise alone", f"{_UM * score.predicted_sigma_mm:.2f} µm"),
-        ("renderer's own floor", f"{result.floor_rms_px:.4f} px"),
-    ]
 
 
 def seconds(result: Scan) -> str:
