@@ -1,7 +1,4 @@
-"""The public names: those of the stubs, unchanged unless somebody means it.
-
-``python tests/test_public.py`` writes the list anew after a change that is meant.
-"""
+"""The public names: those of the stubs, unchanged unless somebody means it; values show briefly."""
 
 import ast
 import importlib
@@ -10,60 +7,18 @@ import pkgutil
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+from calibration_data import rig_points
+from datasets_small import result_of, write_dataset
+from public_names import LIST, PACKAGES, described
 
 import slbench as sl
+from slbench.core.display import brief
 
-LIST = Path(__file__).with_name("public-names.txt")
 #: Needs a library that is not among the dependencies.
 OPTIONAL = "slbench.datasets.read.torch_adaptor"
-
-
-def packages():
-    """Return the packages with public names: slbench, those it names, and theirs in turn."""
-    found = [sl]
-    for package in found:
-        children = (getattr(package, name) for name in getattr(package, "__all__", ()))
-        found += [child for child in children if isinstance(child, ModuleType)]
-    return found
-
-
-PACKAGES = {package.__name__: package for package in packages()}
 LAZY = [name for name, one in PACKAGES.items() if Path(one.__file__).with_suffix(".pyi").exists()]
-
-
-def described():
-    """Return every public name with its parameters, a line each; members below their class."""
-    lines, seen = [], set()
-    for package in PACKAGES.values():
-        for name in sorted(getattr(package, "__all__", ())):
-            value = getattr(package, name)
-            if isinstance(value, ModuleType) or id(value) in seen:
-                continue
-            seen.add(id(value))
-            where = f"{package.__name__}.{name}"
-            lines.append(where + parameters(value))
-            if inspect.isclass(value) and value.__module__.startswith("slbench"):
-                lines += [f"{where}.{member}" for member in members(value)]
-    return lines
-
-
-def parameters(value):
-    """Return the parameters of a function or class without their types."""
-    made = inspect.isclass(value) and not issubclass(value, int)  # an enumeration is not
-    if not (made or inspect.isroutine(value)) or not callable(value):
-        return ""
-    signature = inspect.signature(value)
-    plain = [p.replace(annotation=p.empty) for p in signature.parameters.values()]
-    return str(signature.replace(parameters=plain, return_annotation=signature.empty))
-
-
-def members(kind):
-    """Return the public methods and properties that a class defines itself."""
-    fields = set(getattr(kind, "__dataclass_fields__", ()))  # those are its parameters
-    for name in sorted({name for name in vars(kind) if not name.startswith("_")} - fields):
-        value = getattr(kind, name)
-        yield name + (parameters(value) if inspect.isroutine(value) else "")
 
 
 def stub_names(package):
@@ -81,7 +36,7 @@ def test_the_public_names_are_those_of_the_list():
     listed = LIST.read_text(encoding="utf-8").splitlines()
     now = described()
     gone, new = sorted(set(listed) - set(now)), sorted(set(now) - set(listed))
-    assert (gone, new) == ([], []), "meant? then run: python tests/test_public.py"
+    assert (gone, new) == ([], []), "meant? then run: python tests/helpers/public_names.py"
     assert listed == now
 
 
@@ -120,5 +75,81 @@ def test_no_public_name_is_that_of_another_module(name):
     assert not modules & from_elsewhere
 
 
-if __name__ == "__main__":
-    LIST.write_text("\n".join(described()) + "\n", encoding="utf-8")
+# -- how values show themselves -----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def values(tmp_path_factory):
+    """Return a real instance of every public type that writes its own text."""
+    scan = result_of(1)
+    scene = scan.scene
+    artefact = scene.objects[0].artefact
+    stack = sl.FocusStack([scan.capture] * 3, sl.capture.Focus((400.0,) * 3, (500.0,) * 3))
+    ball = sl.objects.load("ball-bar")
+    sets = ["1,8", "1,4", "gray", "1,2,4", "1,3,9", "1,8@4"]
+    found = [
+        scan,
+        *(scan.transport, scan.truth, scan.capture, scan.phase, scan.cloud, scan.score),
+        *(scene, scene.objects[0], scene.objects[0].material, scene.detector),
+        *(scene.light, scene.exposure, scene.sequence, sl.scene.Status.LIT),
+        *(scene.rig, scene.rig.camera, scene.rig.projector, scene.rig.camera.pose),
+        *(scene.rig.camera.lens, sl.DesignVariables(500.0, -100.0, 0.0, 0.0, 0.1, 0.1)),
+        *(artefact, artefact.mesh, artefact.features[0], ball, ball.spheres[0]),
+        *(stack, stack.focus, scan.capture.noise),
+        *(sl.Fringes(8), sl.GrayCode(), sl.Flat(1.0), scene.sequence.frames()[0]),
+        scene.with_patterns("white+black+gray+1,2,4,8,16,32,64@8", axes="uv").sequence,
+        sl.cloud.registration.Overlap(0, 1, 1000, 0.5, 0.001, 0.0005, 6),
+        sl.select_models(rig_points(200)).model,
+        sl.compare(scene, sets, repeats=2, transport=scan.transport, truth=scan.truth),
+        sl.open_dataset(write_dataset(tmp_path_factory.mktemp("small"))),
+        sl.simulate.render.current(),
+    ]
+    return found
+
+
+def own_texts():
+    """Return the public types that do not leave their text to :func:`brief`."""
+    for package in PACKAGES.values():
+        for name in getattr(package, "__all__", ()):
+            kind = getattr(package, name)
+            if not inspect.isclass(kind) or not kind.__module__.startswith("slbench"):
+                continue
+            abstract = getattr(kind, "_is_protocol", False) or issubclass(kind, Exception)
+            if not abstract and kind.__repr__ not in (brief, object.__repr__):
+                yield kind
+
+
+def test_every_value_shows_itself_in_a_few_lines(values):
+    shown = {type(value) for value in values}
+    missing = set(own_texts()) - shown - {sl.rig.Device}  # a camera or a projector
+    assert not missing, "add one to the fixture"
+    for value in values:
+        text = repr(value)
+        assert len(text) <= 600, text
+        assert len(text.splitlines()) <= 8, text
+        assert "array(" not in text
+
+
+def test_figures_of_the_texts_are_those_of_the_value(values):
+    scan = values[0]
+    assert f"{len(scan.cloud)} points" in repr(scan)
+    assert f"{len(scan.cloud)} points" in repr(scan.cloud)
+    assert f"{scan.capture.frames.shape[0]} frames 64 x 48 px" in repr(scan.capture)
+    assert f"{100 * np.mean(scan.phase.mask):.1f} % measured" in repr(scan.phase)
+    assert f"{100 * np.mean(scan.truth.lit):.1f} % lit" in repr(scan.truth)
+    low, high = scan.cloud.points[:, 2].min(), scan.cloud.points[:, 2].max()
+    assert f"z {low:.4g} to {high:.4g} mm" in repr(scan.cloud)
+
+
+def test_tables_of_a_notebook_are_escaped(values):
+    shown = [value for value in values if hasattr(value, "_repr_html_")]
+    assert {type(v) for v in shown} >= {sl.Scan, sl.Score, sl.Comparison, sl.PatternSequence}
+    for value in shown:
+        html = value._repr_html_()
+        assert html.count("<tr>") == html.count("</tr>") > 1
+    table = sl.core.document.Table("<i>", ("a & b",), (("<script>",),), "x < y")
+    html = table._repr_html_()
+    assert "&lt;script&gt;" in html
+    assert "a &amp; b" in html
+    assert "<i>" not in html
+    assert "x &lt; y" in html

@@ -6,6 +6,11 @@ type here: the value does not import how it is drawn.
 
 #: Type of the value -> function that draws it into a matplotlib figure, by dotted names.
 DRAWERS: dict[str, str] = {
+    "slbench.patterns.sequence:PatternSequence": "slbench.report.plots.stream:patterns",
+    "slbench.capture.capture:Capture": "slbench.report.plots.stream:frames",
+    "slbench.capture.stack:FocusStack": "slbench.report.plots.stream:stack",
+    "slbench.patterns.decode:PhaseMap": "slbench.report.plots.stream:phase_map",
+    "slbench.cloud.triangulation:PointCloud": "slbench.report.plots.stream:cloud",
     "slbench.simulate.scan:Scan": "slbench.report.plots.scan:summary",
     "slbench.bench.compare.comparison:Comparison": "slbench.report.pages.compare:draw",
 }

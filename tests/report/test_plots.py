@@ -1,0 +1,120 @@
+"""Pictures of values: asked for by the value, found by its type."""
+
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+
+import numpy as np
+import pytest
+from datasets_small import result_of
+from matplotlib.figure import Figure
+
+import slbench as sl
+from slbench.core import registry
+from slbench.core.drawing import figure
+from slbench.core.registry import resolved
+from slbench.report.plots import DRAWERS
+
+
+@pytest.fixture(scope="module")
+def scan():
+    return result_of(1)
+
+
+def images(drawn):
+    """Return the images of a figure, those of colour bars left out."""
+    return [one.get_array() for axes in drawn.axes for one in axes.images]
+
+
+def test_every_row_names_a_type_and_its_drawer():
+    for kind, drawer in DRAWERS.items():
+        assert isinstance(resolved(kind), type)
+        assert callable(resolved(kind).plot)
+        assert callable(resolved(drawer))
+
+
+def test_a_capture_shows_its_frames(scan):
+    drawn = scan.capture.plot()
+    assert isinstance(drawn, Figure)
+    for shown, frame in zip(images(drawn), scan.capture.frames, strict=True):
+        np.testing.assert_array_equal(shown, frame)
+
+
+def test_of_many_frames_an_even_choice_is_shown(scan):
+    many = replace(
+        scan.capture,
+        frames=np.repeat(scan.capture.frames, 5, axis=0),
+        sequence=sl.PatternSequence.parse("1,2,4,8,16@6", scan.capture.sequence.panel),
+    )
+    titles = [axes.get_title() for axes in many.plot().axes if axes.images]
+    assert len(titles) == 12
+    assert (titles[0], titles[-1]) == ("frame 0", "frame 29")
+
+
+def test_a_phase_map_shows_coordinate_deviation_and_modulation(scan):
+    coordinate, deviation, modulation = images(scan.phase.plot())
+    np.testing.assert_array_equal(coordinate.filled(np.nan), scan.phase.coordinate["u"])
+    np.testing.assert_array_equal(deviation.filled(np.nan), scan.phase.sigma["u"])
+    np.testing.assert_array_equal(modulation, scan.phase.modulation)
+
+
+def test_a_cloud_shows_heights_and_its_points(scan):
+    drawn = scan.cloud.plot()
+    height, _ = images(drawn)
+    assert np.count_nonzero(np.isfinite(height.filled(np.nan))) == len(scan.cloud)
+    above = next(axes for axes in drawn.axes if "from above" in axes.get_title())
+    (dots,) = above.collections
+    assert len(dots.get_offsets()) == len(scan.cloud)
+    # The highest is drawn last, over the others.
+    assert dots.get_array()[-1] == scan.cloud.points[:, 2].max()
+
+
+def test_a_cloud_without_points_can_be_drawn(scan):
+    none = replace(
+        scan.cloud,
+        points=scan.cloud.points[:0],
+        pixels=scan.cloud.pixels[:0],
+        sigma_px=scan.cloud.sigma_px[:0],
+        sensitivity=scan.cloud.sensitivity[:0],
+    )
+    none.plot().canvas.draw()
+
+
+def test_patterns_show_a_profile_a_frame():
+    sequence = sl.PatternSequence.parse("white+gray+8@4", (64, 32), axes="uv")
+    drawn = sequence.plot()
+    for shown, axis in zip(images(drawn), "uv", strict=True):
+        np.testing.assert_array_equal(shown, sequence.profiles(axis)[1])
+
+
+def test_a_stack_shows_a_frame_a_setting(scan):
+    dark = replace(scan.capture, frames=scan.capture.frames // 2)
+    stack = sl.FocusStack([scan.capture, dark], sl.capture.Focus((400.0, 410.0), (500.0, 500.0)))
+    first, second = images(stack.plot())
+    np.testing.assert_array_equal(first, scan.capture.frames[0])
+    np.testing.assert_array_equal(second, scan.capture.frames[0] // 2)
+    assert "400 mm" in stack.plot().axes[0].get_title()
+
+
+def test_a_scan_draws_its_summary(scan):
+    assert len(images(scan.plot())) == 5
+
+
+class Other:
+    """A value of another package."""
+
+
+def draw_other(value):
+    return value
+
+
+def test_other_packages_add_drawers(monkeypatch):
+    name, drawer = f"{__name__}:Other", f"{__name__}:draw_other"
+    point = EntryPoint(name, drawer, "slbench.drawers")
+    monkeypatch.setattr(registry, "_installed", lambda group: {name: [point]})
+    value = Other()
+    assert figure(value) is value
+
+
+def test_a_value_without_a_drawer_is_refused():
+    with pytest.raises(sl.InputError, match="plot: expected a value that has a drawer, got Other"):
+        figure(Other())
