@@ -9,6 +9,7 @@ from typing import Self
 
 import numpy as np
 
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.rig import Rig
 
@@ -27,6 +28,8 @@ class Focus:
     """
 
     distances_mm: Mapping[str, tuple[float, ...]]
+
+    __repr__ = brief
 
     def __post_init__(self) -> None:
         counts = {name: len(values) for name, values in self.distances_mm.items()}

@@ -1,6 +1,8 @@
 """The public names of :mod:`slbench.cloud` and where they are defined."""
 
 from . import registration as registration
+from .decoded import Decoded as Decoded
+from .decoded import decode_capture as decode_capture
 from .registration.graph import Registration as Registration
 from .registration.graph import register_views as register_views
 from .triangulation import PointCloud as PointCloud

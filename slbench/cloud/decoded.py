@@ -11,6 +11,7 @@ import numpy as np
 
 from slbench.capture.capture import Capture
 from slbench.cloud.triangulation import PointCloud, triangulate
+from slbench.core.display import brief
 from slbench.core.io import atomic_folder, write_exr, write_json, write_ply, write_provenance
 from slbench.patterns import PhaseMap
 
@@ -30,6 +31,8 @@ class Decoded:
     capture: Capture
     phase: PhaseMap
     cloud: PointCloud | None
+
+    __repr__ = brief
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of the whole, for JSON."""

@@ -108,6 +108,9 @@ class Pair(NamedTuple):
     projector: str = "projector"
 
 
+#: Devices that a rig's ``repr`` has lines for.
+_SHOWN_DEVICES = 4
+
 #: The names of a camera and a projector that have no others beside them.
 ALONE = Pair()
 
@@ -249,10 +252,15 @@ class Rig:
 
     def __repr__(self) -> str:
         size = numbers(self.volume_mm, " x ")
+        angle = (
+            "" if len(self.pairs) > 1 else f", triangulation angle {np.rad2deg(self.angle):.1f}°"
+        )
+        names = list(self.devices)
+        more = f"and {len(names) - _SHOWN_DEVICES} more" if len(names) > _SHOWN_DEVICES else ""
         return block(
-            f"Rig with a volume of {size} mm, triangulation angle {np.rad2deg(self.angle):.1f}°",
-            repr(self.camera),
-            repr(self.projector),
+            f"Rig with a volume of {size} mm{angle}",
+            *(f"{name}: {self.devices[name]!r}" for name in names[:_SHOWN_DEVICES]),
+            more,
         )
 
     @property

@@ -136,12 +136,11 @@ class Scene(Value):
             )
 
     def __repr__(self) -> str:
-        camera, projector = self.rig.camera, self.rig.projector
+        sizes = [f"{name} {one.width} x {one.height} px" for name, one in self.rig.devices.items()]
         names = [item.artefact.name for item in self.objects]
         return block(
             f"Scene {self.name}: {', '.join(names[:4])}{' ...' if len(names) > 4 else ''}",
-            f"camera {camera.width} x {camera.height} px, projector {projector.width} x "
-            f"{projector.height} px, triangulation angle {np.rad2deg(self.rig.angle):.1f}°",
+            ", ".join(sizes[:4]) + (" ..." if len(sizes) > 4 else ""),
             f"patterns {{{self.sequence.name}}}, {self.sequence.n_frames} frames; "
             f"{self.samples} samples a pixel",
             "" if self.focus is None else f"{len(self.focus)} focus settings",

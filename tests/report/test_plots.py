@@ -88,11 +88,11 @@ def test_patterns_show_a_profile_a_frame():
 
 def test_a_stack_shows_a_frame_a_setting(scan):
     dark = replace(scan.capture, frames=scan.capture.frames // 2)
-    stack = sl.FocusStack([scan.capture, dark], sl.capture.Focus((400.0, 410.0), (500.0, 500.0)))
+    stack = sl.FocusStack([scan.capture, dark], sl.capture.Focus({"camera": (400.0, 410.0)}))
     first, second = images(stack.plot())
     np.testing.assert_array_equal(first, scan.capture.frames[0])
     np.testing.assert_array_equal(second, scan.capture.frames[0] // 2)
-    assert "400 mm" in stack.plot().axes[0].get_title()
+    assert "camera 400 mm" in stack.plot().axes[0].get_title()
 
 
 def test_a_scan_draws_its_summary(scan):

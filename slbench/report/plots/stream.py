@@ -92,8 +92,9 @@ def stack(stack: FocusStack) -> Figure:
     index = stack.lit_frame if lit else 0
     named = []
     for k in _chosen(len(stack), _MOST):
-        focus = "" if stack.focus is None else f": {stack.focus.camera_mm[k]:.5g} mm"
-        named.append((f"setting {k}{focus}", stack.frame(k, index)))
+        distances = {} if stack.focus is None else stack.focus.distances_mm
+        focus = (f"{name} {values[k]:.5g} mm" for name, values in distances.items())
+        named.append(("\n".join([f"setting {k}", *focus]), stack.frame(k, index)))
     figure = _grid(named)
     figure.suptitle(f"Frame {index} of {len(stack)} focus settings")
     return figure
