@@ -65,6 +65,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.checks import require_keys
+from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.patterns.noise import NoiseModel
 
@@ -275,6 +276,8 @@ class Placed:
     frames: range
     """Indices of its frames."""
 
+    __repr__ = brief
+
 
 @dataclass(frozen=True)
 class Run:
@@ -290,6 +293,8 @@ class Run:
 
     parts: tuple[Placed, ...]
     searched: tuple[int, ...] = ()
+
+    __repr__ = brief
 
     @property
     def family(self) -> type[Code]:
@@ -333,6 +338,8 @@ class Observed:
     keep_relative: bool
     keep_evidence: bool
 
+    __repr__ = brief
+
     def flats(self, level: float) -> list[int]:
         """Return the indices of the frames that show one level all over the panel."""
         return flat_frames(self.codes, level)
@@ -372,6 +379,8 @@ class Found:
     complete: bool = False
     relative: tuple[tuple[int, FloatArray], ...] = ()
     evidence: Mapping[int, Mapping[str, FloatArray]] = field(default_factory=dict)
+
+    __repr__ = brief
 
 
 Decoded = Mapping[Axis, Found]

@@ -252,9 +252,8 @@ class Rig:
 
     def __repr__(self) -> str:
         size = numbers(self.volume_mm, " x ")
-        angle = (
-            "" if len(self.pairs) > 1 else f", triangulation angle {np.rad2deg(self.angle):.1f}°"
-        )
+        one = len(self.pairs) == 1
+        angle = f", triangulation angle {np.rad2deg(self.angle):.1f}°" if one else ""
         names = list(self.devices)
         more = f"and {len(names) - _SHOWN_DEVICES} more" if len(names) > _SHOWN_DEVICES else ""
         return block(

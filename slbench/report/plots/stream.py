@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack
 from slbench.cloud.triangulation import PointCloud
-from slbench.patterns import PatternSequence, PhaseMap
+from slbench.patterns import Axis, PatternSequence, PhaseMap
 from slbench.report.plots.draw import draw_image
 
 #: Pictures beside one another, and in all: of more an even choice is shown.
@@ -30,6 +30,8 @@ _DOTS = 40_000.0
 def patterns(sequence: PatternSequence) -> Figure:
     """Draw the profiles of all frames, a row each, one picture a coded axis.
 
+    Where frames are whole images, an even choice of all frames is drawn instead.
+
     Parameters
     ----------
     sequence : PatternSequence
@@ -38,7 +40,13 @@ def patterns(sequence: PatternSequence) -> Figure:
     -------
     matplotlib Figure
     """
-    shown = sequence.axes or ("u",)
+    title = f"{{{sequence.name}}}, {sequence.n_frames} frames"
+    shown: list[Axis] = [along for along in sequence.variations if along != "uv"]
+    if "uv" in sequence.variations:
+        chosen = _chosen(sequence.n_frames, _MOST)
+        figure = _grid([(f"frame {k}", sequence.image(k)) for k in chosen], "panel value")
+        figure.suptitle(title, parse_math=False)
+        return figure
     height = 1.2 + 0.12 * sequence.n_frames
     figure = Figure(figsize=(6.0 * len(shown), height), dpi=100, layout="constrained")
     for axes, axis in zip(figure.subplots(1, len(shown), squeeze=False).flat, shown, strict=True):
@@ -52,7 +60,7 @@ def patterns(sequence: PatternSequence) -> Figure:
         # Frames along the other axis stand between these: each is named by its own number.
         chosen = np.arange(0, len(indices), math.ceil(len(indices) / _LABELS))
         axes.set_yticks(chosen, indices[chosen])
-    figure.suptitle(f"{{{sequence.name}}}, {sequence.n_frames} frames", parse_math=False)
+    figure.suptitle(title, parse_math=False)
     return figure
 
 
@@ -87,9 +95,7 @@ def stack(stack: FocusStack) -> Figure:
     -------
     matplotlib Figure
     """
-    sequence = stack.captures[0].sequence
-    lit = any(frame.axis is None for frame in sequence.frames())
-    index = stack.lit_frame if lit else 0
+    index = stack.captures[0].sequence.lit_frame or 0
     named = []
     for k in _chosen(len(stack), _MOST):
         distances = {} if stack.focus is None else stack.focus.distances_mm
@@ -156,7 +162,7 @@ def cloud(cloud: PointCloud) -> Figure:
     return figure
 
 
-def _grid(named: list[tuple[str, NDArray[Any]]]) -> Figure:
+def _grid(named: list[tuple[str, NDArray[Any]]], unit: str = "DN") -> Figure:
     """Draw small pictures in one grey scale, each under its name."""
     across = min(len(named), _COLUMNS)
     down = math.ceil(len(named) / _COLUMNS)
@@ -172,7 +178,7 @@ def _grid(named: list[tuple[str, NDArray[Any]]]) -> Figure:
         axes.set_title(name, fontsize=9)
     for axes in grid:
         axes.set_axis_off()
-    figure.colorbar(shown, ax=grid.tolist(), label="DN", shrink=0.8)
+    figure.colorbar(shown, ax=grid.tolist(), label=unit, shrink=0.8)
     return figure
 
 
