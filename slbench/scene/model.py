@@ -50,7 +50,8 @@ class SceneObject(Value):
                 raise InputError(f"{self.artefact.name}: materials", f"parts {known}", part)
 
     def __repr__(self) -> str:
-        looks = {self.material.bsdf, *(material.bsdf for material in self.materials.values())}
+        materials = (self.material, *self.materials.values())
+        looks = {type(material.bsdf).__name__ for material in materials}
         where = numbers(self.pose.position)
         return f"<SceneObject {self.artefact.name}, {' and '.join(sorted(looks))}, at ({where}) mm>"
 
