@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 from slbench.capture.capture import MANIFEST as CAPTURE_MANIFEST
 from slbench.capture.capture import Capture
 from slbench.capture.focus import Focus
-from slbench.capture.fusion import Alignment, FusionWeights, selective_weights
+from slbench.capture.fusion import Alignment, FusionWeights, align, selective_weights
 from slbench.capture.fusion.measures import check_window
+from slbench.capture.fusion.photographs import FusionMethod
 from slbench.core import resources
 from slbench.core.display import block, brief
 from slbench.core.drawing import figure
 from slbench.core.errors import InputError
-from slbench.core.io import read_grey, read_toml, write_toml
+from slbench.core.io import atomic_folder, read_grey, read_toml, write_exr, write_toml
 from slbench.patterns import NoiseModel, PhaseMap
 from slbench.rig import Pair
 
@@ -73,6 +74,19 @@ class FusedCapture:
         phase = self.capture.decode(**options)
         gain = self.weights.noise_gain
         return replace(phase, sigma={axis: gain * sigma for axis, sigma in phase.sigma.items()})
+
+    def save(self, folder: str | Path) -> None:
+        """Write the capture and, if the weights have maps, ``fusion.exr``; all or nothing."""
+        with atomic_folder(folder) as temporary:
+            self.capture.save(temporary)
+            if isinstance(self.weights, FusionWeights):
+                maps = {
+                    "focus": self.weights.focus,
+                    "selectivity": self.weights.selectivity_db,
+                    "noise_gain": self.weights.noise_gain,
+                }
+                channels = {name: values.astype(np.float32) for name, values in maps.items()}
+                write_exr(temporary / "fusion.exr", channels)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +184,15 @@ class FocusStack:
     def fuse(self, source: WeightSource = "lit", **options: Any) -> FusedCapture:
         """Fuse every pattern with the weights of :meth:`weights`."""
         return self.fuse_with(self.weights(source, **options))
+
+    def fuse_by(self, method: FusionMethod) -> FusedCapture:
+        """Fuse every pattern by the lit frames' weights of a method, aligned by them if it says."""
+        lit: Any = self.lit()
+        alignment = None
+        if method.motion is not None:
+            alignment = align(lit, motion=method.motion)
+            lit = alignment.apply(lit)
+        return self.fuse_with(method.weights(lit), alignment)
 
     def lit(self) -> Sequence[Array]:
         """Return the lit frames of all settings, full scale 1, read when they are asked for."""

@@ -1,0 +1,202 @@
+"""Photographs fused into one, by one of the methods of this package, and what is written of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.capture.fusion.align import Alignment, Motion, align
+from slbench.capture.fusion.folder import Photographs
+from slbench.capture.fusion.measures import check_measure
+from slbench.capture.fusion.pyramid import PyramidSelection, pyramid_selection
+from slbench.capture.fusion.selective import (
+    FusionWeights,
+    Variant,
+    maximum_weights,
+    selective_weights,
+)
+from slbench.capture.fusion.stack import Stack
+from slbench.core.document import Cell, Table
+from slbench.core.io import atomic_folder, write_exr, write_png
+
+Progress = Callable[[str, float, str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FusionMethod:
+    """How to fuse a stack of images.
+
+    Parameters
+    ----------
+    name : {"saf", "maximum", "pyramid"}
+        Selective all-in-focus fusion, the frame of largest measure, or a Laplacian pyramid.
+    measure : str
+        Of focus; not for pyramids.
+    window : int
+        Side of the measure's window, pixels, odd.
+    variant : {"corrected", "published"}
+        Of selective fusion.
+    motion : {"translation", "affine", "homography"} or None
+        Between the frames, to be undone first.
+
+    Raises
+    ------
+    InputError
+        If the measure or the window is not one, ahead of the alignment, which takes long.
+    """
+
+    name: Literal["saf", "maximum", "pyramid"] = "saf"
+    measure: str = "variance"
+    window: int = 9
+    variant: Variant = "corrected"
+    motion: Motion | None = None
+
+    def __post_init__(self) -> None:
+        check_measure(self.measure, self.window)
+
+    def weights(
+        self, grey: Stack, on_progress: Progress | None = None
+    ) -> FusionWeights | PyramidSelection:
+        """Return what fuses every stack that was focused like `grey`."""
+        if self.name == "pyramid":
+            return pyramid_selection(grey)
+        options: dict[str, Any] = {
+            "measure": self.measure,
+            "window": self.window,
+            "on_progress": on_progress,
+        }
+        if self.name == "maximum":
+            return maximum_weights(grey, **options)
+        return selective_weights(grey, variant=self.variant, **options)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FusedPhotographs:
+    """Photographs fused into one image.
+
+    Parameters
+    ----------
+    pixels : (V, U) or (V, U, 3) uint8 or uint16
+        As deep as the photographs.
+    frames : int
+        How many there were.
+    method : FusionMethod
+    weights : FusionWeights or PyramidSelection
+    alignment : Alignment or None
+    """
+
+    pixels: NDArray[Any]
+    frames: int
+    method: FusionMethod
+    weights: FusionWeights | PyramidSelection
+    alignment: Alignment | None
+
+    @property
+    def maps(self) -> dict[str, NDArray[np.float32]]:
+        """Frame in focus at each pixel, counted from 0, and selectivity, dB; none of pyramids."""
+        if isinstance(self.weights, PyramidSelection):
+            return {}
+        return {
+            "depth": self.weights.focus.astype(np.float32),
+            "selectivity": self.weights.selectivity_db.astype(np.float32),
+        }
+
+    def files(self, path: Path) -> list[Path]:
+        """Return what :meth:`save` writes."""
+        return [path, *(path.with_name(f"{path.stem}-{name}.exr") for name in self.maps)]
+
+    def save(self, path: Path) -> None:
+        """Write the image (.png) and, beside it, an EXR for each map; all or none."""
+        with atomic_folder(path.parent) as temporary:
+            image, *maps = self.files(temporary / path.name)
+            write_png(image, self.pixels)
+            for file, (name, values) in zip(maps, self.maps.items(), strict=True):
+                write_exr(file, {name: values})
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers of the whole, for JSON."""
+        method, weights, alignment = self.method, self.weights, self.alignment
+        result: dict[str, Any] = {
+            "method": method.name,
+            "align": method.motion or "none",
+            "frames": self.frames,
+            "height_px": self.pixels.shape[0],
+            "width_px": self.pixels.shape[1],
+            "channels": 1 if self.pixels.ndim == 2 else 3,
+            "bit_depth": 8 * self.pixels.dtype.itemsize,
+        }
+        if alignment is not None:
+            result["reference"] = alignment.reference
+            result["least_correlation"] = float(alignment.correlation.min())
+        if method.name == "saf":
+            result["variant"] = method.variant
+        if not isinstance(weights, PyramidSelection):
+            result |= {
+                "measure": method.measure,
+                "window_px": method.window,
+                "pixels_with_peak": float(np.isfinite(weights.focus).mean()),
+                "median_selectivity_db": float(np.median(weights.selectivity_db)),
+                "median_noise_gain": float(np.median(weights.noise_gain)),
+            }
+        return result
+
+    def table(self, seconds: float) -> Table:
+        """Return the same for people, with the time that it took."""
+        found = self.to_dict()
+        colour = "grey" if found["channels"] == 1 else "colour"
+        size = f"{found['width_px']} x {found['height_px']} px"
+        rows: list[tuple[Cell, ...]] = [("image", f"{size}, {colour}, {found['bit_depth']} bit")]
+        if "reference" in found:
+            which = f"frame {found['reference']}, correlation {found['least_correlation']:.3f}"
+            rows.append((f"aligned ({found['align']}) with", f"{which} or better"))
+        if "median_noise_gain" in found:
+            selectivity = found["median_selectivity_db"]
+            known = np.isfinite(selectivity)  # of fewer than five frames it is not
+            rows += [
+                ("pixels with a focus peak", f"{100 * found['pixels_with_peak']:.1f} %"),
+                ("median selectivity", f"{selectivity:.1f} dB" if known else "-"),
+                ("noise, times that of one frame", f"{found['median_noise_gain']:.2f}"),
+            ]
+        rows.append(("seconds", f"{seconds:.2f}"))
+        title = f"{self.frames} photographs fused: {found['method']}"
+        return Table(title, ("quantity", "value"), tuple(rows))
+
+
+def fuse_photographs(
+    photographs: Photographs, method: FusionMethod, on_progress: Progress | None = None
+) -> FusedPhotographs:
+    """Fuse photographs taken at different focus into one that is in focus everywhere.
+
+    Parameters
+    ----------
+    photographs : Photographs
+        Their luminance gives alignment and weights, their pixels are fused.
+    method : FusionMethod
+    on_progress : callable, optional
+        Called with a stage, a fraction and a note.
+
+    Returns
+    -------
+    FusedPhotographs
+    """
+    grey: Any = photographs.luminance
+    stack: Any = photographs
+    alignment = None
+    if method.motion is not None:
+        alignment = align(grey, motion=method.motion)
+        grey, stack = alignment.apply(grey), alignment.apply(stack)
+    weights = method.weights(grey, on_progress)
+    top = np.iinfo(photographs.dtype).max
+    pixels = np.clip(np.rint(weights.fuse(stack)), 0, top).astype(photographs.dtype)
+    return FusedPhotographs(
+        pixels=pixels,
+        frames=len(photographs),
+        method=method,
+        weights=weights,
+        alignment=alignment,
+    )
