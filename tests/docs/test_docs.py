@@ -193,6 +193,19 @@ def test_the_snippet_of_pattern_design_runs_and_gives_its_numbers(tmp_path, monk
     assert scope["predict"](400, scope["noise"], (1, 20)).sigma_px == pytest.approx(0.136, abs=5e-4)
 
 
+def test_the_snippet_of_the_readme_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (code,) = (p.values[1] for p in SNIPPETS if p.values[0].name == "README.md")
+    assert "import slbench as sl" in code
+    scope = {}
+    exec(compile(code, "README.md", "exec"), scope)
+    for step in scope["result"].score.steps:
+        assert step.measured_mm == pytest.approx(step.nominal_mm, abs=0.02)  # a preview
+    assert scope["image"].shape == (1, 240, 320)
+    assert len(scope["cloud"]) == len(scope["result"].cloud)
+    assert (tmp_path / "block.png").stat().st_size > 10_000
+
+
 # -- formulas and the site ---------------------------------------------------------------------
 
 
