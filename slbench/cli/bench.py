@@ -15,7 +15,6 @@ from slbench.core.registry import resolved
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from slbench.core.document import Page
     from slbench.thesis.outcome import Outcome
 
 
@@ -44,7 +43,7 @@ def bench(
     as_json: Json = False,
 ) -> None:
     """Re-run the experiments of the thesis; judge its findings."""
-    from slbench.thesis.outcome import write_outcome
+    from slbench.thesis.outcome import joint_page, write_outcome
 
     chosen = CHAPTERS if chapter == "all" else (chapter,)
     for name in chosen:
@@ -61,7 +60,7 @@ def bench(
             write_outcome(outcome, out / name)
             outcomes.append(outcome)
         if report is not None:
-            write_page(_page(outcomes), report)
+            write_page(joint_page(outcomes), report)
     if as_json:
         results = {outcome.chapter: outcome.to_dict() for outcome in outcomes}
         print_json({"chapters": results, "seed": seed, "out": str(out)})
@@ -91,22 +90,6 @@ def _named(bar: Any, chapter: str) -> Any:
         bar(f"{chapter} {stage}", fraction)
 
     return on_progress
-
-
-def _page(outcomes: list[Outcome]) -> Page:
-    """Return the report of one chapter, or of several in one."""
-    from slbench.core.document import Page
-
-    pages = [outcome.page() for outcome in outcomes]
-    if len(pages) == 1:
-        return pages[0]
-    parts = tuple(part for page in pages for part in page.parts)
-    origin = dict(pages[0].provenance)
-    origin["parameters"] = {
-        outcome.chapter: page.provenance["parameters"]
-        for outcome, page in zip(outcomes, pages, strict=True)
-    }
-    return Page("The thesis's experiments, re-run", parts, origin)
 
 
 def _findings(outcome: Outcome) -> Table:

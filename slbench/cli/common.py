@@ -109,7 +109,7 @@ def print_table(table: Any, *, left: int = 1) -> None:
     from slbench.core.document import Table
 
     if isinstance(table, Table):
-        laid_out = terminal.Table(title=table.title)
+        laid_out = terminal.Table(title=table.title or None)
         for k, column in enumerate(table.columns):
             laid_out.add_column(column, justify="left" if k < left else "right")
         for row in table.texts():

@@ -6,7 +6,7 @@ comes from a criterion on measured numbers, never from a judgement made beforeha
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -166,6 +166,20 @@ class Outcome:
         """Return the outcome as a report."""
         parts: list[Part] = [self.summary, *self.tables, *self.pictures.values(), *self.clouds]
         return Page(self.title, tuple(parts), provenance(self.parameters, self.seed))
+
+
+def joint_page(outcomes: Sequence[Outcome]) -> Page:
+    """Return the report of one chapter, or of several in one."""
+    pages = [outcome.page() for outcome in outcomes]
+    if len(pages) == 1:
+        return pages[0]
+    parts = tuple(part for page in pages for part in page.parts)
+    origin = dict(pages[0].provenance)
+    origin["parameters"] = {
+        outcome.chapter: page.provenance["parameters"]
+        for outcome, page in zip(outcomes, pages, strict=True)
+    }
+    return Page("The thesis's experiments, re-run", parts, origin)
 
 
 def write_outcome(outcome: Outcome, folder: str | Path) -> None:

@@ -87,7 +87,7 @@ def test_the_line_to_scan_with_and_what_is_no_candidate(tmp_path):
     assert 'slbench scan SCENE --patterns "1,2"' in text
     for words in ("4 fringes, not measurable at z = 1 mm", "7 fringes, no divisor of 160 px"):
         assert words in text
-    assert "80 fringes, finer than --min-px-per-fringe or --max-fringes allow" in text
+    assert "80 fringes, finer than the least pixels per fringe or the most fringes allow" in text
     assert found["noise"][2]["sigma_rad"] == [0.1, None]
 
 

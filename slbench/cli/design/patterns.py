@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from slbench.cli.common import AllowModules, Json, Preview, Seed, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 #: Which options go with what: (option, what it needs).
 APPLIES = {
@@ -112,6 +109,9 @@ def patterns(
     from slbench.design.fringes.design import (
         candidates,
         doubling,
+        left_out,
+        predict_text,
+        sequence_table,
         single_step,
         thesis_sequence,
         usable,
@@ -162,7 +162,7 @@ def patterns(
             )
         if write_noise is not None:
             noise.write(write_noise)
-        left_out = _left_out(noise, counts, width)
+        excluded = left_out(noise, counts, width)
         counts = usable(counts, noise)
         seconds = {"noise": time.perf_counter() - begin}
         _load_compiled(criterion, method)
@@ -196,7 +196,7 @@ def patterns(
             "single step": single_step(width, noise, counts),
         }
         for text in compare or ():
-            others[text] = _predicted(text, width, noise)
+            others[text] = predict_text(text, width, noise, "--compare")
         trials = []
         if loaded is not None:
             start = time.perf_counter()
@@ -216,7 +216,7 @@ def patterns(
                 "criterion": criterion,
                 "width_px": width,
                 "candidates": counts,
-                "left_out": left_out,
+                "left_out": excluded,
                 "noise_rad": noise.typical_rad,
                 "noise": [
                     {"fringes": n, "z_mm": noise.z_mm, "sigma_rad": row}
@@ -228,13 +228,13 @@ def patterns(
             }
         )
         return
-    print_table(_table(design, others))
+    print_table(sequence_table({"designed": design, **others}), left=2)
     if len(design.fringes) == 1 and len(counts) > 1:
         print("no step is worth it: more --frames (bounded) or less --safety may allow one")
-    for count, why in left_out.items():
+    for count, why in excluded.items():
         print(f"no candidate: {count} fringes, {why}")
     for trial in trials:
-        _print_trial(trial)
+        print(trial.text())
     along = f" --axes {axis}" if axis != "u" else ""
     print(f'slbench scan {scene or "SCENE"} --patterns "{name}"{along}')
     for path in (write_noise, plot):
@@ -252,32 +252,6 @@ def _check_options(context: typer.Context, chosen: list[str]) -> None:
             raise InputError(f"--{name.replace('_', '-')}", f"only with {needs}", ", ".join(chosen))
 
 
-def _left_out(noise: Any, counts: list[int], width: int) -> dict[int, str]:
-    """Return why counts of the noise table are no candidates."""
-    found = {}
-    for count, row in zip(noise.fringes.tolist(), noise.sigma_rad, strict=True):
-        lost = [f"{z:g}" for z, sigma in zip(noise.z_mm, row, strict=True) if sigma == float("inf")]
-        if width % count:
-            found[count] = f"no divisor of {width} px"
-        elif count not in counts:
-            found[count] = "finer than --min-px-per-fringe or --max-fringes allow"
-        elif lost:
-            found[count] = f"not measurable at z = {', '.join(lost)} mm"
-    return found
-
-
-def _predicted(text: str, width: int, noise: Any) -> Any:
-    """Return the prediction for a sequence such as ``1,2,4`` or ``1,8@12``."""
-    from slbench.design.fringes.design import predict
-    from slbench.patterns import PatternSequence
-
-    sequence = PatternSequence.parse(text, (width, width), shifts=noise.shifts, axes="u")
-    shifts = [len(placed.frames) for placed in sequence.fringe_sets("u")]
-    if len(shifts) < len(sequence.parts):
-        raise InputError("--compare", "fringe sets alone", text)
-    return predict(width, noise, sequence.fringe_counts("u"), shifts)
-
-
 def _load_compiled(criterion: str, method: Literal["exact", "monte-carlo"]) -> None:
     """Design a tiny case, so that loading compiled code is not in the time of the real one."""
     from slbench.design.fringes.bounded import bounded_sequence
@@ -291,22 +265,6 @@ def _load_compiled(criterion: str, method: Literal["exact", "monte-carlo"]) -> N
         thesis_sequence(20, tiny, [1, 2, 4], method=method, repeats=1, noise_step=0.1)
 
 
-def _print_trial(trial: Any) -> None:
-    text = ", ".join(map(str, trial.fringes))
-    groups = {"lit like the plate": trial.plate_like, "others": trial.other}
-    print(
-        f"{{{text}}} scanned {trial.repeats} times; predicted {trial.predicted_px:.4g} px, "
-        f"order errors {trial.predicted_order_error_probability:.2g}"
-    )
-    for name, group in groups.items():
-        if group is not None:
-            print(
-                f"  {group.pixels} px {name}, measured {100 * group.measured:.3g} %: "
-                f"{group.std_px:.4g} px (expected {group.expected_px:.4g}), order errors "
-                f"{group.order_error_rate:.2g} (expected {group.expected_order_error_rate:.2g})"
-            )
-
-
 def _width(given: int | None, known: list[int]) -> int:
     """Return the width that the user gave or a file has; both must agree."""
     if given is None:
@@ -316,22 +274,3 @@ def _width(given: int | None, known: list[int]) -> int:
     if known and known[0] != given:
         raise InputError("--width-px", f"the panel's {known[0]} px, or nothing", given)
     return given
-
-
-def _table(design: Any, others: dict[str, Any]) -> Table:
-    from rich.table import Table
-
-    table = Table()
-    for name in ("sequence", "fringes", "shifts", "frames", "σ / px", "order errors"):
-        table.add_column(name, justify="left" if name in ("sequence", "fringes") else "right")
-    for name, other in {"designed": design, **others}.items():
-        shifts = set(other.shifts)
-        table.add_row(
-            name,
-            ", ".join(map(str, other.fringes)),
-            ", ".join(map(str, other.shifts if len(shifts) > 1 else shifts)),
-            str(other.frames),
-            f"{other.sigma_px:.4g}",
-            f"{other.order_error_probability:.1e}",
-        )
-    return table

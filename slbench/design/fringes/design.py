@@ -20,7 +20,7 @@ What either sequence is worth is predicted by :func:`predict`, with the closed f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import floor, pi
 from typing import Any, Literal
@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.display import brief
+from slbench.core.document import Cell, Table
 from slbench.core.errors import InputError
 from slbench.design.fringes.chain import any_error, unwrapping_chain
 from slbench.design.fringes.noise import PhaseNoise
@@ -199,6 +200,20 @@ def usable(counts: Sequence[int], noise: PhaseNoise) -> list[int]:
     return found
 
 
+def left_out(noise: PhaseNoise, counts: Sequence[int], width_px: int) -> dict[int, str]:
+    """Return why counts of fringes whose noise is given are no candidates, by count."""
+    found = {}
+    for count, row in zip(noise.fringes.tolist(), noise.sigma_rad, strict=True):
+        lost = [f"{z:g}" for z, sigma in zip(noise.z_mm, row, strict=True) if np.isinf(sigma)]
+        if width_px % count:
+            found[count] = f"no divisor of {width_px} px"
+        elif count not in counts:
+            found[count] = "finer than the least pixels per fringe or the most fringes allow"
+        elif lost:
+            found[count] = f"not measurable at z = {', '.join(lost)} mm"
+    return found
+
+
 def thesis_sequence(
     width_px: int,
     noise: PhaseNoise,
@@ -324,6 +339,42 @@ def doubling(width_px: int, noise: PhaseNoise, counts: Sequence[int]) -> Sequenc
     while 2 * chosen[-1] in options:
         chosen.append(2 * chosen[-1])
     return predict(width_px, noise, chosen)
+
+
+def predict_text(
+    text: str, width_px: int, noise: PhaseNoise, where: str = "sequence"
+) -> SequenceDesign:
+    """Return :func:`predict` of a sequence in words, such as ``1,2,4`` or ``1,8@12``.
+
+    Raises
+    ------
+    InputError
+        If it is none, or not of fringe sets alone.
+    """
+    panel = (width_px, width_px)
+    sequence = PatternSequence.parse(text, panel, shifts=noise.shifts, axes="u")
+    shifts = [len(placed.frames) for placed in sequence.fringe_sets("u")]
+    if len(shifts) < len(sequence.parts):
+        raise InputError(where, "fringe sets alone", text)
+    return predict(width_px, noise, sequence.fringe_counts("u"), shifts)
+
+
+def sequence_table(designs: Mapping[str, SequenceDesign]) -> Table:
+    """Return sequences by name beside one another, with what is predicted of them."""
+
+    def row(name: str, design: SequenceDesign) -> tuple[Cell, ...]:
+        shifts = design.shifts if len(set(design.shifts)) > 1 else design.shifts[:1]
+        return (
+            name,
+            ", ".join(map(str, design.fringes)),
+            ", ".join(map(str, shifts)),
+            design.frames,
+            design.sigma_px,
+            f"{design.order_error_probability:.1e}",
+        )
+
+    columns = ("sequence", "fringes", "shifts", "frames", "σ / px", "order errors")
+    return Table("", columns, tuple(row(name, design) for name, design in designs.items()))
 
 
 def predict(

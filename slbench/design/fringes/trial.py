@@ -106,6 +106,22 @@ class Trial:
         """Return the result as plain values for JSON."""
         return asdict(self)
 
+    def text(self) -> str:
+        """Return the result in lines for people: predicted, and measured by group of pixels."""
+        lines = [
+            f"{{{', '.join(map(str, self.fringes))}}} scanned {self.repeats} times; predicted "
+            f"{self.predicted_px:.4g} px, order errors "
+            f"{self.predicted_order_error_probability:.2g}"
+        ]
+        for name, group in (("lit like the plate", self.plate_like), ("others", self.other)):
+            if group is not None:
+                lines.append(
+                    f"  {group.pixels} px {name}, measured {100 * group.measured:.3g} %: "
+                    f"{group.std_px:.4g} px (expected {group.expected_px:.4g}), order errors "
+                    f"{group.order_error_rate:.2g} (expected {group.expected_order_error_rate:.2g})"
+                )
+        return "\n".join(lines)
+
 
 def noise_of_scene(
     scene: Scene,
