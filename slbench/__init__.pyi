@@ -44,6 +44,8 @@ from .datasets.read.stored import Sample as Sample
 from .detector.emva1288 import Detector as Detector
 from .objects import Artefact as Artefact
 from .objects import Mesh as Mesh
+from .objects import build_artefact as build_artefact
+from .objects import load_artefact as load_artefact
 from .patterns import Flat as Flat
 from .patterns import Fringes as Fringes
 from .patterns import GrayCode as GrayCode

@@ -85,7 +85,7 @@ def values(tmp_path_factory):
     scene = scan.scene
     artefact = scene.objects[0].artefact
     stack = sl.FocusStack([scan.capture] * 3, sl.capture.Focus({"camera": (400.0,) * 3}))
-    ball = sl.objects.load("ball-bar")
+    ball = sl.objects.load_artefact("ball-bar")
     sets = ["1,8", "1,4", "gray", "1,2,4", "1,3,9", "1,8@4"]
     found = [
         scan,

@@ -43,7 +43,7 @@ def baseline(train, test):
 def main(path):
     """Train, test, and return the shares of right orders of baseline and network."""
     torch.manual_seed(0)
-    train, test = datasets.open(path).split(train=0.75, test=0.25, seed=0).values()
+    train, test = datasets.open_dataset(path).split(train=0.75, test=0.25, seed=0).values()
     captures = CaptureDataset(train, PATTERNS, item=pixels, keep=len(train))
     unseen = [CaptureDataset(test, PATTERNS, item=pixels, seed=1)[k] for k in range(len(test))]
     linear, relu = torch.nn.Linear, torch.nn.ReLU

@@ -10,7 +10,7 @@ from slbench.objects.artefact import (
     SphereFeature,
     surface_height,
 )
-from slbench.objects.loading import build, load, measure
+from slbench.objects.loading import build_artefact, load_artefact, measure
 from slbench.objects.registry import ArtefactKind, artefacts
 
 __all__ = [
@@ -23,8 +23,8 @@ __all__ = [
     "PlaneFeature",
     "SphereFeature",
     "artefacts",
-    "build",
-    "load",
+    "build_artefact",
+    "load_artefact",
     "measure",
     "surface_height",
 ]

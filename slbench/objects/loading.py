@@ -38,7 +38,7 @@ class _ArtefactFile(Parameters):
     certified: dict[str, Finite] = Field(default_factory=dict)
 
 
-def build(
+def build_artefact(
     kind: str,
     parameters: object,
     where: str = "parameters",
@@ -120,7 +120,7 @@ def measure(artefact: Artefact) -> dict[str, float]:
     return measured
 
 
-def load(name_or_path: str | Path) -> Artefact:
+def load_artefact(name_or_path: str | Path) -> Artefact:
     """Load an artefact from a TOML file.
 
     Parameters

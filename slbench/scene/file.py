@@ -87,7 +87,7 @@ def load_settings(path: Path, *, allow_modules: bool = False) -> Scene:
 
 @cache
 def _placeholder() -> tuple[SceneObject, ...]:
-    return (SceneObject(objects.load("plane")),)
+    return (SceneObject(objects.load_artefact("plane")),)
 
 
 def _load(
@@ -239,15 +239,15 @@ def _object(
     if values.artefact is not None:
         given = values.artefact
         is_file = given.endswith(".toml") or "/" in given or "\\" in given
-        artefact = objects.load(resources.inside(path.parent, given) if is_file else given)
+        artefact = objects.load_artefact(resources.inside(path.parent, given) if is_file else given)
     elif values.mesh is not None:
         parameters = {"path": values.mesh, "unit": values.unit, "centre": values.centre}
-        artefact = objects.build(
+        artefact = objects.build_artefact(
             "mesh", parameters, where, name=Path(values.mesh).stem, folder=path.parent
         )
     else:
         assert values.kind is not None  # by _one_shape
-        artefact = objects.build(
+        artefact = objects.build_artefact(
             values.kind, values.parameters, f"{where}.parameters", folder=path.parent
         )
     material = Material()

@@ -32,7 +32,7 @@ def plate_scene(scene: Scene, height_mm: float) -> Scene:
     The plate has the material of the scene's first object.
     """
     size = scene.rig.volume_mm
-    plate = objects.build(
+    plate = objects.build_artefact(
         "plane", {"size_mm": [size[0], size[1]], "thickness_mm": 0.1 * min(size[:2])}
     )
     pose = Pose(np.eye(3), np.array([0.0, 0.0, height_mm]))

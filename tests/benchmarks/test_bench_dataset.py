@@ -70,7 +70,7 @@ def made(tmp_path_factory):
         for k, run in enumerate(runs)
     ]
     storage.write(index.INDEX, index.encode(rows, types))
-    return datasets.open(storage.url), scene, light
+    return datasets.open_dataset(storage.url), scene, light
 
 
 def best_of(function, repeats=5):

@@ -34,8 +34,8 @@ def scene():
     design = DesignVariables(756.3, -412.5, -100.0, 337.5, np.deg2rad(-18.0), np.deg2rad(10.88))
     below = Pose(np.eye(3), np.array([0.0, 0.0, -5.0]))
     things = (
-        SceneObject(objects.load("step-block-5")),
-        SceneObject(objects.load("plane"), below),
+        SceneObject(objects.load_artefact("step-block-5")),
+        SceneObject(objects.load_artefact("plane"), below),
     )
     sequence = PatternSequence.parse("1,10,50@12", (640, 480))
     assert sequence.n_frames == PATTERNS

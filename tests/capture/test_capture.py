@@ -52,7 +52,7 @@ def rig():
 
 
 def scene(patterns="1,8,32", shifts=3, axes="u", **more):
-    plate = SceneObject(objects.build("plane", {"size_mm": (100.0, 100.0)}))
+    plate = SceneObject(objects.build_artefact("plane", {"size_mm": (100.0, 100.0)}))
     sequence = PatternSequence.parse(patterns, PANEL, shifts, axes)
     return Scene("analytic", rig(), (plate,), sequence, **({"detector": CLEAN} | more))
 

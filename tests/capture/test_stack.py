@@ -304,7 +304,7 @@ def test_saturated_frames_leave_saturated_pixels():
 def speckled():
     """Squares of 20 um, a texture, out of the middle's focus by 0.2 mm, under the microscope."""
     base = load_scene("ch8-plane", preview=True)
-    board = objects.build(
+    board = objects.build_artefact(
         "chequerboard",
         {"rows": 60, "columns": 60, "square_mm": 0.02, "margin_mm": 0.02, "thickness_mm": 0.1},
     )
@@ -393,7 +393,7 @@ def test_scan_of_a_stack(speckled, tmp_path):
 
 
 def test_all_settings_have_the_exposure_of_the_middle():
-    scene = scene_of([SceneObject(objects.build("plane", {"size_mm": [80, 80]}))])
+    scene = scene_of([SceneObject(objects.build_artefact("plane", {"size_mm": [80, 80]}))])
     scene = replace(scene, focus=focused((400.0, 450.0, 500.0), (800.0, 800.0, 800.0)))
     stack = capture_stack(scene)
     middle = with_lit_frame(scene).focused(1)

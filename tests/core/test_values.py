@@ -14,7 +14,7 @@ from slbench.core.errors import InputError
 from slbench.core.types import Percentile, Samples
 from slbench.core.values import checked
 from slbench.detector.emva1288 import Detector
-from slbench.objects import load
+from slbench.objects import load_artefact
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
@@ -22,7 +22,7 @@ from slbench.scene.model import Exposure, Light, Scene, SceneObject
 LENS = Lens(16.0, 1.0, 100.0)
 CAMERA = Camera(64, 48, (0.01, 0.01), LENS)
 PROJECTOR = Projector(64, 48, (0.01, 0.01), LENS)
-OBJECT = SceneObject(load("plane"))
+OBJECT = SceneObject(load_artefact("plane"))
 
 #: One of each class of values.
 VALUES = [

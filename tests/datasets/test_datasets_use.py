@@ -36,7 +36,7 @@ def test_what_make_writes_is_a_fresh_scan(tmp_path):
     spec, out = write_spec(tmp_path), tmp_path / "data"
     made = run_cli("dataset", "make", spec, "--out", out, "--count", 3, "--workers", 0)
     assert made.status == 0, made.err
-    data = datasets.open(out)
+    data = datasets.open_dataset(out)
     assert len(data) == 3
     for sample in data:
         for name in sample.captures:

@@ -35,7 +35,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def data(folder):
-    return datasets.open(folder)
+    return datasets.open_dataset(folder)
 
 
 def read(path):
@@ -460,7 +460,7 @@ class TestRefusals:
             export(data.where("height_mm > 99"), tmp_path / "x", "frames", RECIPE)
 
     def test_no_stored_frames(self, tmp_path):
-        bare = datasets.open(small.write_dataset(tmp_path / "bare", frames=False))
+        bare = datasets.open_dataset(small.write_dataset(tmp_path / "bare", frames=False))
         with pytest.raises(InputError, match="capture"):
             export(bare, tmp_path / "x", "frames")
         assert not (tmp_path / "x").exists()

@@ -37,7 +37,7 @@ def copy(folder, tmp_path):
 
 @pytest.fixture(scope="module")
 def data(folder):
-    return datasets.open(folder)
+    return datasets.open_dataset(folder)
 
 
 def shard(folder, number=0):
@@ -82,7 +82,7 @@ class TestSequence:
 
     def test_opening_reads_no_shard(self, copy):
         shutil.rmtree(copy / "shards")
-        assert len(datasets.open(copy)) == len(READY)
+        assert len(datasets.open_dataset(copy)) == len(READY)
 
     def test_a_sample_reads_its_own_range_alone(self, data, monkeypatch):
         ranges = []
@@ -102,7 +102,7 @@ class TestSequence:
         memory = fsspec.filesystem("memory")
         memory.put(str(folder), "memory://reader-test", recursive=True)
         try:
-            far = datasets.open("memory://reader-test")
+            far = datasets.open_dataset("memory://reader-test")
             np.testing.assert_array_equal(far[5].frames, data[5].frames)
         finally:
             memory.rm("/reader-test", recursive=True)
@@ -149,7 +149,7 @@ class TestParts:
         }
 
     def test_light_transport_alone(self, tmp_path):
-        item = datasets.open(small.write_dataset(tmp_path / "bare", frames=False))[0]
+        item = datasets.open_dataset(small.write_dataset(tmp_path / "bare", frames=False))[0]
         assert item.captures == ()
         assert "Sample.capture" in refusal(lambda: item.frames)
         assert item.capture("1,10").frames.shape == (6, 48, 64)
@@ -226,7 +226,7 @@ class TestCapture:
 
     def test_the_objects_are_not_built(self, data, monkeypatch):
         # Their meshes cost more than the frames.
-        monkeypatch.setattr("slbench.objects.build", None)
+        monkeypatch.setattr("slbench.objects.build_artefact", None)
         assert data[0].capture("1,8").frames.shape == (6, 48, 64)
 
 
@@ -234,7 +234,7 @@ class TestDamage:
     def spoilt(self, copy, change, number=0):
         path = shard(copy, number)
         path.write_bytes(change(path.read_bytes()))
-        return datasets.open(copy)
+        return datasets.open_dataset(copy)
 
     def test_a_flipped_byte_spoils_its_sample_alone(self, copy, data):
         row = data[2].row
@@ -258,7 +258,7 @@ class TestDamage:
             content = bytearray(original)
             content[row["offset"] + place] ^= 0x10
             shard(copy).write_bytes(bytes(content))
-            assert "SHA-256" in refusal(lambda: datasets.open(copy)[1].members)
+            assert "SHA-256" in refusal(lambda: datasets.open_dataset(copy)[1].members)
 
     def test_without_the_check_a_damaged_file_is_still_one_line(self, copy, data):
         row = data[0].row
@@ -267,7 +267,7 @@ class TestDamage:
         content = bytearray(shard(copy).read_bytes())
         content[place + 2000] ^= 0xFF
         shard(copy).write_bytes(bytes(content))
-        item = datasets.open(copy, verify=False)[0]
+        item = datasets.open_dataset(copy, verify=False)[0]
         line = refusal(lambda: item.transport)
         assert "sample 000000: transport.npz" in line
         assert "/slbench-sample-" not in line.split(": expected")[0]
@@ -284,26 +284,26 @@ class TestDamage:
 
     def test_a_missing_shard(self, copy, data):
         shard(copy, 1).unlink()
-        broken = datasets.open(copy)
+        broken = datasets.open_dataset(copy)
         assert "000001.tar" in refusal(lambda: broken[-1].frames)
         np.testing.assert_array_equal(broken[0].frames, data[0].frames)
 
     def test_a_sample_in_anothers_place(self, copy, data):
         # Same size and place in the index, other contents: the key would be wrong too.
-        other = datasets.open(copy, verify=False)
+        other = datasets.open_dataset(copy, verify=False)
         swapped = replace(other[1], row=other[1].row | {"offset": data[2].row["offset"]})
         assert "sample 000001" in refusal(lambda: swapped.members)
 
     def test_no_index(self, copy):
         (copy / "index.parquet").unlink()
-        line = refusal(lambda: datasets.open(copy))
+        line = refusal(lambda: datasets.open_dataset(copy))
         assert "index.parquet" in line
         assert "--resume" in line
 
     def test_a_damaged_index(self, copy):
         path = copy / "index.parquet"
         path.write_bytes(path.read_bytes()[:-20])
-        assert "index.parquet" in refusal(lambda: datasets.open(copy))
+        assert "index.parquet" in refusal(lambda: datasets.open_dataset(copy))
 
     @pytest.mark.parametrize(
         "change",
@@ -327,7 +327,7 @@ class TestDamage:
         rows = index.decode(storage.read(index.INDEX), "index")
         rows[0] |= change
         storage.write(index.INDEX, index.encode(rows, Manifest.load(storage).columns))
-        assert "sample 0" in refusal(lambda: datasets.open(copy))
+        assert "sample 0" in refusal(lambda: datasets.open_dataset(copy))
 
     def test_more_bytes_than_there_are_are_not_asked_for(self, data):
         row = data[0].row | {"size": 2**62}
@@ -353,7 +353,7 @@ class TestDamage:
         parquet = pytest.importorskip("pyarrow.parquet")
         path = copy / "index.parquet"
         parquet.write_table(change(parquet.read_table(path)), path)
-        assert words in refusal(lambda: datasets.open(copy))
+        assert words in refusal(lambda: datasets.open_dataset(copy))
 
     @pytest.mark.parametrize("kind", ["missing", "empty", "file"])
     def test_no_data_set(self, tmp_path, kind):
@@ -362,7 +362,7 @@ class TestDamage:
             path.mkdir()
         elif kind == "file":
             path.write_text("not a data set")
-        assert str(path) in refusal(lambda: datasets.open(path))
+        assert str(path) in refusal(lambda: datasets.open_dataset(path))
 
 
 class TestWhere:

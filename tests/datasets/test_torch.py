@@ -20,7 +20,7 @@ from slbench.patterns import PatternSequence  # noqa: E402
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory):
-    return datasets.open(small.write_dataset(tmp_path_factory.mktemp("data") / "small"))
+    return datasets.open_dataset(small.write_dataset(tmp_path_factory.mktemp("data") / "small"))
 
 
 def fingerprint(items):

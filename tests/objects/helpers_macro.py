@@ -55,7 +55,7 @@ def check_repeatable(kind, parameters):
 
 def check_shipped(name):
     """Certified as measured, to a nanometre, within 60 x 70 x 30 mm; return the artefact."""
-    artefact = objects.load(name)
+    artefact = objects.load_artefact(name)
     stated = io.read_toml(resources.find("objects", name))["certified"]
     measured = objects.measure(artefact)
     assert stated

@@ -49,7 +49,7 @@ def check_solid(mesh, min_relative_area=1e-12):
 @given(heights_lists, st.floats(0.1, 50.0), st.floats(1.0, 100.0), lengths)
 def test_any_step_block_is_an_exact_solid(heights, step, width_in_steps, base):
     width = step * width_in_steps
-    block = objects.build(
+    block = objects.build_artefact(
         "step_block",
         {"heights_mm": heights, "step_length_mm": step, "width_mm": width, "base_mm": base},
     )
@@ -72,7 +72,7 @@ def test_any_step_block_is_an_exact_solid(heights, step, width_in_steps, base):
 
 
 def test_step_faces_ascend_along_x_with_a_margin():
-    block = objects.build(
+    block = objects.build_artefact(
         "step_block", {"heights_mm": [1, 2.5, 5], "step_length_mm": 14, "width_mm": 30}
     )
     faces = block.planes
@@ -87,7 +87,7 @@ def test_step_faces_ascend_along_x_with_a_margin():
 def test_step_interiors_lie_on_their_own_face():
     # An independent kernel cuts the block just under and just over each face: the cut loses
     # exactly the rectangle that the face occupies.
-    block = objects.load("step-block-20")
+    block = objects.load_artefact("step-block-20")
     solid = manifold3d.Manifold(
         manifold3d.Mesh64(block.mesh.vertices.copy(), block.mesh.faces.astype(np.uint64))
     )
@@ -131,16 +131,16 @@ def test_step_interiors_lie_on_their_own_face():
 )
 def test_refused_step_blocks(change, key):
     parameters = {"heights_mm": [1.0, 2.5], "step_length_mm": 14.0, "width_mm": 30.0}
-    objects.build("step_block", parameters)
+    objects.build_artefact("step_block", parameters)
     with pytest.raises(InputError, match=key) as caught:
-        objects.build("step_block", {**parameters, **change}, "scene.toml: object")
+        objects.build_artefact("step_block", {**parameters, **change}, "scene.toml: object")
     assert str(caught.value).startswith("scene.toml: object")
     assert "\n" not in str(caught.value)
 
 
 def test_heights_a_micrometre_apart_are_accepted():
     parameters = {"heights_mm": [1.0, 1.001], "step_length_mm": 14.0, "width_mm": 30.0}
-    assert len(objects.build("step_block", parameters).steps) == 2
+    assert len(objects.build_artefact("step_block", parameters).steps) == 2
 
 
 # --- plane --------------------------------------------------------------------------------
@@ -148,7 +148,7 @@ def test_heights_a_micrometre_apart_are_accepted():
 
 @given(lengths, lengths, lengths)
 def test_any_plane_is_an_exact_slab(x, y, thickness):
-    plate = objects.build("plane", {"size_mm": [x, y], "thickness_mm": thickness})
+    plate = objects.build_artefact("plane", {"size_mm": [x, y], "thickness_mm": thickness})
     # A sliver of a slab has faces of very unequal area: the smallest over the largest is
     # the shortest over the longest side, at the least.
     check_solid(plate.mesh, min_relative_area=1e-6)
@@ -177,7 +177,7 @@ def test_any_plane_is_an_exact_slab(x, y, thickness):
 )
 def test_refused_planes(parameters, key):
     with pytest.raises(InputError, match=key):
-        objects.build("plane", parameters)
+        objects.build_artefact("plane", parameters)
 
 
 # --- sphere -------------------------------------------------------------------------------
@@ -187,7 +187,7 @@ def test_refused_planes(parameters, key):
 @given(st.floats(0.01, 200.0), st.floats(1e-3, 0.3))
 def test_any_sphere_keeps_its_volume_and_form(radius, relative_form_error):
     bound_um = 1e3 * radius * relative_form_error
-    ball = objects.build("sphere", {"radius_mm": radius, "max_form_error_um": bound_um})
+    ball = objects.build_artefact("sphere", {"radius_mm": radius, "max_form_error_um": bound_um})
     check_solid(ball.mesh)
     # The radius is balanced to enclose the certified volume; rounding over 1e5 terms.
     assert ball.mesh.volume == pytest.approx(4 / 3 * math.pi * radius**3, rel=1e-10)
@@ -206,7 +206,7 @@ def form_error(mesh, radius):
 
 
 def test_a_least_squares_sphere_through_the_surface_has_the_certified_radius():
-    ball = objects.build("sphere", {"radius_mm": 12.5, "max_form_error_um": 10.0})
+    ball = objects.build_artefact("sphere", {"radius_mm": 12.5, "max_form_error_um": 10.0})
     rng = np.random.default_rng(11)
     weights = rng.dirichlet([1, 1, 1], 20_000)
     chosen = rng.choice(
@@ -228,7 +228,7 @@ def test_a_least_squares_sphere_through_the_surface_has_the_certified_radius():
 
 def test_the_coarsest_sufficient_mesh_is_chosen():
     counts = [
-        len(objects.build("sphere", {"radius_mm": 1.0, "max_form_error_um": e}).mesh.faces)
+        len(objects.build_artefact("sphere", {"radius_mm": 1.0, "max_form_error_um": e}).mesh.faces)
         for e in (100.0, 10.0, 1.0)
     ]
     assert counts == sorted(counts)
@@ -252,18 +252,18 @@ def test_the_coarsest_sufficient_mesh_is_chosen():
 )
 def test_refused_spheres(parameters, key):
     with pytest.raises(InputError, match=key):
-        objects.build("sphere", parameters)
+        objects.build_artefact("sphere", parameters)
 
 
 def test_a_form_error_beyond_reach_says_what_is_in_reach(monkeypatch):
     monkeypatch.setattr("slbench.objects.shapes.sphere._FINEST", 3)
     with pytest.raises(InputError, match=r"max_form_error_um: expected at least 2\.89 "):
-        objects.build("sphere", {"radius_mm": 1.0, "max_form_error_um": 2.0})
-    objects.build("sphere", {"radius_mm": 1.0, "max_form_error_um": 2.89})
+        objects.build_artefact("sphere", {"radius_mm": 1.0, "max_form_error_um": 2.0})
+    objects.build_artefact("sphere", {"radius_mm": 1.0, "max_form_error_um": 2.89})
 
 
 def test_the_shipped_sphere_keeps_half_a_micrometre():
-    mesh = objects.load("sphere").mesh
+    mesh = objects.load_artefact("sphere").mesh
     outside = np.linalg.norm(mesh.vertices, axis=1) - 12.5
     inside = np.linalg.norm(mesh.vertices[mesh.faces].mean(axis=1), axis=1) - 12.5
     assert 0.0 < outside.min() <= outside.max() < 0.5e-3
@@ -275,7 +275,7 @@ def test_the_shipped_sphere_keeps_half_a_micrometre():
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_artefacts_are_what_they_certify(name):
-    artefact = objects.load(name)
+    artefact = objects.load_artefact(name)
     assert artefact.name == name
     assert artefact.source
     check_solid(artefact.mesh)
@@ -290,13 +290,13 @@ def test_shipped_artefacts_are_what_they_certify(name):
 
 @pytest.mark.parametrize("name", ["sphere", "step-block-5", "step-block-20"])
 def test_small_artefacts_fit_the_measurement_volume(name):
-    size = np.ptp(objects.load(name).mesh.bounds, axis=0)
+    size = np.ptp(objects.load_artefact(name).mesh.bounds, axis=0)
     assert (size < [60.0, 70.0, 30.0]).all()
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_same_parameters_same_bytes(name):
-    first, second = objects.load(name).mesh, objects.load(name).mesh
+    first, second = objects.load_artefact(name).mesh, objects.load_artefact(name).mesh
     assert first.vertices.tobytes() == second.vertices.tobytes()
     assert first.faces.tobytes() == second.faces.tobytes()
 
@@ -304,7 +304,7 @@ def test_same_parameters_same_bytes(name):
 def test_unknown_kind_names_the_known_ones():
     for kind in ["cube", "", None, ["plane"]]:
         with pytest.raises(InputError, match="plane, sphere, step_block, mesh"):
-            objects.build(kind, {})
+            objects.build_artefact(kind, {})
 
 
 GOOD = """
@@ -338,11 +338,11 @@ step_1_height_mm = 1.0
 def test_refused_files(old, new, message, tmp_path):
     path = tmp_path / "a.toml"
     path.write_text(GOOD)
-    assert objects.load(path).certified == {"step_1_height_mm": 1.0}
+    assert objects.load_artefact(path).certified == {"step_1_height_mm": 1.0}
     assert old in GOOD
     path.write_text(GOOD.replace(old, new))
     with pytest.raises(InputError, match=message) as caught:
-        objects.load(path)
+        objects.load_artefact(path)
     assert "\n" not in str(caught.value)
 
 
@@ -405,7 +405,7 @@ def test_what_is_no_rigid_motion_is_refused():
 
 def test_measure_reads_the_mesh_and_not_the_parameters():
     # Vertices of one step lifted by 1 um: its height and nothing else must say so.
-    block = objects.load("step-block-5")
+    block = objects.load_artefact("step-block-5")
     vertices = block.mesh.vertices.copy()
     vertices[vertices[:, 2] == 2.5, 2] += 1e-3
     measured = objects.measure(
@@ -429,7 +429,7 @@ def test_measure_reads_the_mesh_and_not_the_parameters():
 
 
 def test_measure_says_nan_where_there_is_no_surface():
-    mesh = objects.load("plane").mesh
+    mesh = objects.load_artefact("plane").mesh
     beside = PlaneFeature("reference", 0.0, 0.0, (60.0, 70.0), (0.0, 1.0))
     away = objects.SphereFeature("ball", (0.0, 0.0, 0.0), 1.0)
     measured = objects.measure(objects.Artefact("a", "plane", {}, mesh, {}, (beside, away)))

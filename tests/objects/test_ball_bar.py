@@ -56,7 +56,7 @@ def test_any_ball_bar_is_one_solid_of_its_volume(scale, spacing, stem, length):
 
 
 def test_least_squares_spheres_through_the_upper_halves():
-    bar = objects.load("ball-bar")
+    bar = objects.load_artefact("ball-bar")
     mesh = bar.mesh
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
     rng = np.random.default_rng(4)

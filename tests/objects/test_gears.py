@@ -60,7 +60,7 @@ toothings = st.fixed_dictionaries(
 
 @functools.cache
 def shipped(name):
-    return objects.load(name)
+    return objects.load_artefact(name)
 
 
 def rebuilt(kind, parameters):
@@ -526,6 +526,6 @@ def test_no_section_beside_the_mesh_and_no_circle_through_two_points():
 )
 def test_nonsense_is_refused_in_one_line(kind, change, key):
     with pytest.raises(InputError, match=key) as caught:
-        objects.build(kind, {**KINDS[kind], **change}, "scene.toml: object")
+        objects.build_artefact(kind, {**KINDS[kind], **change}, "scene.toml: object")
     assert str(caught.value).startswith("scene.toml: object")
     assert "\n" not in str(caught.value)

@@ -15,7 +15,7 @@ FORMATS = ["stl", "ply", "obj", "off", "glb", "stl_ascii"]
 
 @pytest.fixture
 def block():
-    return objects.load("step-block-5")
+    return objects.load_artefact("step-block-5")
 
 
 def export(mesh, path, scale=1.0, file_type=None):
@@ -31,7 +31,7 @@ def test_mesh_files_round_trip(file_type, unit, block, tmp_path):
     path = export(block.mesh, tmp_path / f"block.{suffix}", MILLIMETRES[unit], file_type)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        read = objects.build("mesh", {"path": path, "unit": unit})
+        read = objects.build_artefact("mesh", {"path": path, "unit": unit})
     # Single precision (6e-8) of 28 mm, and eight digits of a text in metres.
     tolerance = 1e-5
     assert read.mesh.is_watertight
@@ -51,7 +51,7 @@ def test_small_parts_in_metres_are_not_merged_away(tmp_path):
     # A 5 um cube in metres: 5e-6, with corners that a fixed tolerance might join.
     cube = trimesh.creation.box([5e-6] * 3)
     cube.export(tmp_path / "cube.stl")
-    read = objects.build("mesh", {"path": str(tmp_path / "cube.stl"), "unit": "m"})
+    read = objects.build_artefact("mesh", {"path": str(tmp_path / "cube.stl"), "unit": "m"})
     assert read.mesh.vertices.shape == (8, 3)
     assert np.ptp(read.mesh.bounds, axis=0) == pytest.approx([5e-3] * 3, rel=1e-6)
 
@@ -59,10 +59,10 @@ def test_small_parts_in_metres_are_not_merged_away(tmp_path):
 def test_centre_puts_the_bottom_on_the_ground(block, tmp_path):
     moved = block.mesh.transformed(np.eye(3), [100.0, -50.0, 7.0])
     path = export(moved, tmp_path / "block.ply")
-    as_is = objects.build("mesh", {"path": path, "unit": "mm"})
+    as_is = objects.build_artefact("mesh", {"path": path, "unit": "mm"})
     # Single precision at 130 mm: 8e-6.
     assert as_is.mesh.bounds == pytest.approx(moved.bounds, abs=2e-5)
-    centred = objects.build("mesh", {"path": path, "unit": "mm", "centre": True})
+    centred = objects.build_artefact("mesh", {"path": path, "unit": "mm", "centre": True})
     expected = np.array([[-28, -15, 0], [28, 15, 10]])
     assert centred.mesh.bounds == pytest.approx(expected, abs=2e-5)
     assert centred.features == ()
@@ -73,7 +73,7 @@ def test_open_mesh_is_a_warning_and_not_an_error(tmp_path):
     path = tmp_path / "open.ply"
     trimesh.Trimesh(np.eye(3), [[0, 1, 2]], process=False).export(path)
     with pytest.warns(UserWarning, match=r"open.ply.*watertight"):
-        read = objects.build("mesh", {"path": str(path), "unit": "mm"})
+        read = objects.build_artefact("mesh", {"path": str(path), "unit": "mm"})
     assert len(read.mesh.faces) == 1
 
 
@@ -81,7 +81,7 @@ def test_faces_without_area_by_repeated_vertices_are_dropped(tmp_path):
     path = tmp_path / "a.off"
     path.write_text("OFF\n4 3 0\n0 0 0\n1 0 0\n0 1 0\n0 0 0\n3 0 1 2\n3 0 1 3\n3 1 1 2\n")
     with pytest.warns(UserWarning, match="watertight"):
-        read = objects.build("mesh", {"path": str(path), "unit": "mm"})
+        read = objects.build_artefact("mesh", {"path": str(path), "unit": "mm"})
     assert read.mesh.faces.shape == (1, 3)
     assert read.mesh.face_areas == pytest.approx([0.5])
 
@@ -116,7 +116,7 @@ def test_corrupt_and_empty_files_are_refused(name, content, tmp_path):
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(InputError, match=name) as caught:
-        objects.build("mesh", {"path": str(path), "unit": "mm"})
+        objects.build_artefact("mesh", {"path": str(path), "unit": "mm"})
     assert "\n" not in str(caught.value)
 
 
@@ -126,7 +126,7 @@ def test_a_truncated_binary_file_is_refused(block, tmp_path):
         export(block.mesh, path)
         path.write_bytes(path.read_bytes()[:-100])
         with pytest.raises(InputError):
-            objects.build("mesh", {"path": str(path), "unit": "mm"})
+            objects.build_artefact("mesh", {"path": str(path), "unit": "mm"})
 
 
 def test_refused_parameters(block, tmp_path):
@@ -144,7 +144,7 @@ def test_refused_parameters(block, tmp_path):
         ({"unit": "mm"}, "path"),
     ]:
         with pytest.raises(InputError, match=key) as caught:
-            objects.build("mesh", parameters)
+            objects.build_artefact("mesh", parameters)
         assert "\n" not in str(caught.value)
 
 
@@ -161,15 +161,15 @@ def test_a_toml_finds_its_mesh_beside_it_and_nowhere_else(block, tmp_path, monke
     outside = export(block.mesh, tmp_path / "outside.stl")
     (folder / "link.stl").symlink_to(outside)
     monkeypatch.chdir(tmp_path)  # the path is relative to the TOML, not to here
-    part = objects.load(write_toml(folder, "meshes/a.stl", "size_x_mm = 56.0"))
+    part = objects.load_artefact(write_toml(folder, "meshes/a.stl", "size_x_mm = 56.0"))
     assert (part.name, part.kind, part.source) == ("part", "mesh", "CAD")
     assert part.mesh.is_watertight
     for path in ["../outside.stl", outside, "link.stl"]:
         with pytest.raises(InputError):
-            objects.load(write_toml(folder, path))
+            objects.load_artefact(write_toml(folder, path))
 
 
 def test_a_certified_size_catches_a_wrong_unit(block, tmp_path):
     export(block.mesh, tmp_path / "a.stl", scale=25.4)
     with pytest.raises(InputError, match=r"size_x_mm.*2\.20"):
-        objects.load(write_toml(tmp_path, "a.stl", "size_x_mm = 56.0"))
+        objects.load_artefact(write_toml(tmp_path, "a.stl", "size_x_mm = 56.0"))

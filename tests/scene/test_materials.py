@@ -61,7 +61,7 @@ def test_nonsense_is_refused(table):
 
 
 def test_materials_by_part():
-    grid = objects.load("calibration-grid")
+    grid = objects.load_artefact("calibration-grid")
     with pytest.raises(InputError, match="parts dots, plate"):
         SceneObject(grid, materials={"dot": PRESETS["chrome"]})
     dark, light = Material(Diffuse(albedo=0.05)), Material(Diffuse(albedo=0.9))

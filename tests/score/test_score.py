@@ -18,8 +18,8 @@ from slbench.scene.truth import GroundTruth, Status
 from slbench.score.features import fit_features, fit_sphere
 from slbench.score.points import point_errors, score
 
-BLOCK = objects.load("step-block-5")
-BALL = objects.build("sphere", {"radius_mm": 12.5, "max_form_error_um": 50.0})
+BLOCK = objects.load_artefact("step-block-5")
+BALL = objects.build_artefact("sphere", {"radius_mm": 12.5, "max_form_error_um": 50.0})
 TURNED = Pose(
     Rotation.from_euler("XYZ", (20, -15, 40), degrees=True).as_matrix(), np.array([3, -7, 11])
 )
@@ -96,7 +96,7 @@ def test_form_sets_the_outermost_points_aside():
     points[:, 2] += wave
     spikes = [100, 555, 901, 1300, 1717, 1999]
     points[spikes, 2] = 0.006  # within the six robust deviations that gross errors exceed
-    plate = objects.load("plane")
+    plate = objects.load_artefact("plane")
     flat = fit_features(points, plate, Pose())[0]
     # 0.3 % of 2000 points are the six spikes.  They stay in the plane's fit and tilt it: by
     # at most 6 x 6 um x 3 / 2000 = 0.06 um at either border.
@@ -309,7 +309,7 @@ def test_features_are_taken_from_the_points_of_their_own_object():
     truth = flat_truth()
     truth.object_id[:, 25:] = 1
     face = PlaneFeature("reference", 0.0, 0.0, (-1e3, 1e3), (-1e3, 1e3))
-    plate = replace(objects.load("plane"), features=(face,))
+    plate = replace(objects.load_artefact("plane"), features=(face,))
     items = (SceneObject(replace(plate, name="left")), SceneObject(replace(plate, name="right")))
     error = np.zeros((*SHAPE, 3))
     error[:, 25:, 2] = 0.001 * np.where(np.arange(SHAPE[0]) % 2, 1, -1)[:, None]

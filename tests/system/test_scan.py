@@ -138,7 +138,7 @@ def post(x, y, height):
 
 def test_no_points_in_the_shadow():
     artefact, corners = post((-5.0, 5.0), (-6.0, 6.0), 40.0)
-    scene = scene_of([at(objects.load("plane")), at(artefact)])
+    scene = scene_of([at(objects.load_artefact("plane")), at(artefact)])
     result = scan(scene, seed=1)
     source = scene.rig.projector.pose.position
     beam = corners - source
@@ -168,7 +168,7 @@ def test_no_points_in_the_shadow():
 def test_noise_alone_is_not_decoded():
     # In the dark a detector with much read noise gives frames, but no coordinates.
     artefact, _ = post((-5.0, 5.0), (-6.0, 6.0), 40.0)
-    scene = scene_of([at(objects.load("plane")), at(artefact)])
+    scene = scene_of([at(objects.load_artefact("plane")), at(artefact)])
     scene = replace(scene, detector=Detector(read_noise_e=200.0))
     result = scan(scene, seed=2)
     dark = result.transport.white() == 0
@@ -271,7 +271,7 @@ def test_absolute_exposure_is_the_hand_calculation():
     scene = Scene(
         "facing",
         Rig(camera, panel),
-        (at(objects.build("plane", {"size_mm": (300.0, 300.0)}), albedo=albedo),),
+        (at(objects.build_artefact("plane", {"size_mm": (300.0, 300.0)}), albedo=albedo),),
         PatternSequence.parse("white+1", (160, 120)),
         detector,
         Exposure(time_s=time),

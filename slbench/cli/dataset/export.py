@@ -72,7 +72,7 @@ def export(
     if not fractions:
         check_target(form, out)
     check_folder(out.parent)
-    data = datasets.open(dataset, allow_modules=allow_modules)
+    data = datasets.open_dataset(dataset, allow_modules=allow_modules)
     if where is not None:
         data = data.where(where)
     if patterns is not None and len(data):

@@ -25,7 +25,7 @@ def artefact_of(name: str, changes: list[str] | None) -> objects.Artefact:
     from slbench.core.io import read_toml
 
     if not changes:
-        return objects.load(name)
+        return objects.load_artefact(name)
     path = resources.find("objects", name)
     content = read_toml(path)
     parameters = dict(content.get("parameters", {}))
@@ -36,7 +36,7 @@ def artefact_of(name: str, changes: list[str] | None) -> objects.Artefact:
         parameters[key.strip()] = _value(text)
     kind = content.get("kind")
     where = f"{path.name}: parameters"
-    return objects.build(str(kind), parameters, where, name=path.stem, folder=path.parent)
+    return objects.build_artefact(str(kind), parameters, where, name=path.stem, folder=path.parent)
 
 
 def _value(text: str) -> Any:

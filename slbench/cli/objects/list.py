@@ -14,7 +14,7 @@ def list_objects(as_json: Json = False) -> None:
     from slbench import objects
     from slbench.core import resources
 
-    found = [objects.load(name) for name in resources.names("objects")]
+    found = [objects.load_artefact(name) for name in resources.names("objects")]
     if as_json:
         print_json(
             [

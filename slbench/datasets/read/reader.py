@@ -1,6 +1,6 @@
 """Read a data set: by offset, filtered, split.
 
-:func:`open_dataset` (``slbench.datasets.open``) reads the index alone; what a sample then
+:func:`open_dataset` (``slbench.datasets.open_dataset``) reads the index alone; what a sample then
 gives is :mod:`slbench.datasets.read.stored`'s.  What is stored is the light transport, so that
 :meth:`Sample.capture` puts any patterns, exposure and noise on it by a sparse product and a
 noise draw (docs/how-to/datasets-use.md).

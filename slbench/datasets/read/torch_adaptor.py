@@ -131,7 +131,7 @@ class CaptureDataset(_Captures):
     Parameters
     ----------
     data : Dataset
-        As :func:`slbench.datasets.open` or a selection of it gives.
+        As :func:`slbench.datasets.open_dataset` or a selection of it gives.
     patterns : str, PatternSequence, callable or None
         See :class:`slbench.datasets.read.recipe.Recipe`.
     detector : DetectorModel, optional

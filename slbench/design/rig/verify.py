@@ -97,7 +97,7 @@ def rendered_errors(
 
     rig = hardware.rig(configuration)
     size = hardware.volume_mm
-    plate = objects.build(
+    plate = objects.build_artefact(
         "plane", {"size_mm": [size[0], size[1]], "thickness_mm": 0.1 * min(size[:2])}
     )
     squares: list[Array] = []

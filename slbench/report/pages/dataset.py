@@ -138,7 +138,7 @@ Every sample holds its light transport, so any pattern sequence can be put on it
 ```python
 import slbench.datasets
 
-data = slbench.datasets.open("{name}")
+data = slbench.datasets.open_dataset("{name}")
 shots = data[0].capture("1,8,64")
 ```"""
 

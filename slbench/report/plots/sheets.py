@@ -28,7 +28,7 @@ def object_sheet(path: str | Path) -> None:
     from slbench.simulate.render.show import shade
 
     def draw(axes: Any, name: str) -> None:
-        artefact = objects.load(name)
+        artefact = objects.load_artefact(name)
         image, mm_per_px = shade(artefact, size_px=360, samples=64)
         draw_object(axes, artefact, image, mm_per_px)
 

@@ -131,7 +131,7 @@ class TestQuantities:
     def test_a_step_of_a_comparison_is_chosen_to_the_nanometre(self):
         heights = (1.5, 2.500012)
         values = {"heights_mm": heights, "step_length_mm": 14.0, "width_mm": 30.0}
-        scene = scene_of([at(objects.build("step_block", values))])
+        scene = scene_of([at(objects.build_artefact("step_block", values))])
         steps = tuple(Step(h, h, k * 1e-3) for k, h in enumerate(heights))
         result = types.SimpleNamespace(steps=steps)
         for text, std in (("1.50", 0.0), ("2.500012", 1e-3), ("2.5000120", 1e-3)):
@@ -148,14 +148,14 @@ class TestQuantities:
         result = scan(scene, seed=1)
         ball = result.score.spheres[0]
         assert score_values(result)[name] == abs(ball.radius_mm - ball.nominal_radius_mm)
-        bar = scene_of([at(objects.load("ball-bar"))])
+        bar = scene_of([at(objects.load_artefact("ball-bar"))])
         spacings = [f for f in features_of(bar) if f.kind == "spacing"]
         assert spacings
         nominal = f"spacing[{spacings[0].nominal_mm:g}].error_mm"
         assert resolve(nominal, bar, "here") == (f"spacing[{spacings[0].label}].error_mm",)
 
     def test_objects_of_one_name_are_told_apart_or_not_at_all(self):
-        block = objects.load("step-block-5")
+        block = objects.load_artefact("step-block-5")
         scene = scene_of([at(block, 0, -16.0, 0), at(block, 0, 16.0, 0)])
         with pytest.raises(InputError, match=r"step-block-5#2/step_2"):
             resolve("step[2.5].error_mm", scene, "here")

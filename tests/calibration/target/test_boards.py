@@ -41,7 +41,7 @@ def matrices_of(pose: Pose, centres: np.ndarray, radius: float) -> tuple[np.ndar
 
 
 def test_chequerboard():
-    board = objects.build("chequerboard", {"columns": 7, "rows": 6, "square_mm": 3.5})
+    board = objects.build_artefact("chequerboard", {"columns": 7, "rows": 6, "square_mm": 3.5})
     pose = tilted(12.0, -9.0)
     # Supersampled 4 times: a pixel belongs to the square its plane coordinates fall in.
     v, u = (np.mgrid[: 480 * 4, : 640 * 4] + 0.5) / 4.0 - 0.5
@@ -62,7 +62,7 @@ def test_chequerboard():
 
 
 def test_circle_grid_and_its_perspective_bias():
-    board = objects.build(
+    board = objects.build_artefact(
         "circle_grid", {"columns": 4, "rows": 9, "spacing_mm": 3.0, "dot_diameter_mm": 2.4}
     )
     pose = tilted(5.0, 30.0, 480.0)
@@ -79,7 +79,7 @@ def test_circle_grid_and_its_perspective_bias():
 
 
 def test_calibration_grid_partly_in_view():
-    board = objects.load("calibration-grid")  # 13 x 13, 0.125 mm apart
+    board = objects.load_artefact("calibration-grid")  # 13 x 13, 0.125 mm apart
     pose = tilted(0.0, 10.0, 20.0)
     camera = Camera(512, 512, (0.022, 0.022), Lens(320.0, 0.0, 20.0))
     truth = camera.project(pose.to_world(board.targets))
@@ -126,17 +126,17 @@ def test_bias_from_the_homography():
 
 
 def test_bad_input():
-    board = objects.build("chequerboard", {})
+    board = objects.build_artefact("chequerboard", {})
     noise = np.random.default_rng(2).normal(100.0, 20.0, (120, 160))
     with pytest.raises(InputError, match="chequerboard"):
         find_board(noise, board)
     with pytest.raises(InputError, match="near"):
         find_board(noise, board, near=(0.0, 0.0))
     with pytest.raises(InputError, match="one of"):
-        find_board(noise, objects.load("plane"))
+        find_board(noise, objects.load_artefact("plane"))
     with pytest.raises(InputError, match="grey image"):
         find_board(np.zeros((50, 50, 3)), board)
-    circles = objects.build("circle_grid", {})
+    circles = objects.build_artefact("circle_grid", {})
     grid = np.stack(np.meshgrid([30.0, 60.0, 90.0], [30.0, 60.0, 90.0]), -1).reshape(-1, 2)
     with pytest.raises(InputError, match="form none"):
         find_board(dots_image((120, 120), grid, 8.0), circles)

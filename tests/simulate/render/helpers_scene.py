@@ -55,7 +55,7 @@ def plate(size: tuple[float, float], pose: Pose | None = None) -> SceneObject:
 
     It is so thin that its sides are not seen.
     """
-    artefact = objects.build("plane", {"size_mm": size, "thickness_mm": 1e-3})
+    artefact = objects.build_artefact("plane", {"size_mm": size, "thickness_mm": 1e-3})
     return SceneObject(artefact, pose or Pose())
 
 
@@ -69,7 +69,7 @@ def scene(rig: Rig, *items: SceneObject, bounces: int = 0, samples: int = 16) ->
 def step_scene(a: Camera, b: Projector, **more: Any) -> Scene:
     """Return the 5 mm step block on a plate, in configuration 5: shadows and corners."""
     below = Pose(np.eye(3), np.array([0.0, 0.0, -5.0]))
-    block = SceneObject(objects.load("step-block-5"))
+    block = SceneObject(objects.load_artefact("step-block-5"))
     return scene(
         Rig.from_design(CONFIGURATION_5, a, b), block, plate((300.0, 300.0), below), **more
     )

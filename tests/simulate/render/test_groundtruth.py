@@ -20,7 +20,7 @@ DISTORTION = (-0.2, 0.08, 0.002, -0.003, 0.02)
 TILT = (0.05, -0.03)
 SIZE = (80, 60)
 PANEL = (160, 120)
-BALL = objects.build("sphere", {"radius_mm": 12.5, "max_form_error_um": 50.0})
+BALL = objects.build_artefact("sphere", {"radius_mm": 12.5, "max_form_error_um": 50.0})
 
 
 def make_rig(camera=None, projector=None, distorted=False):
@@ -58,7 +58,7 @@ def scene_of(rig, *items):
 
 
 def plate(size=(400.0, 400.0), pose=None):
-    artefact = objects.build("plane", {"size_mm": size, "thickness_mm": 1.0})
+    artefact = objects.build_artefact("plane", {"size_mm": size, "thickness_mm": 1.0})
     return SceneObject(artefact, pose or Pose())
 
 
@@ -145,7 +145,7 @@ def test_plane(name, angles):
 def test_sphere(name):
     rig = RIGS[name]
     radius, form_um, centre = 30.0, 20.0, np.array([2.0, -3.0, 4.0])
-    ball = objects.build("sphere", {"radius_mm": radius, "max_form_error_um": form_um})
+    ball = objects.build_artefact("sphere", {"radius_mm": radius, "max_form_error_um": form_um})
     truth = ground_truth(scene_of(rig, SceneObject(ball, Pose(np.eye(3), centre))))
     origins, directions = rig.camera.unproject(rig.camera.pixel_grid())
     along = np.sum((centre - origins) * directions, axis=-1)
