@@ -7,18 +7,13 @@ import time
 
 import numpy as np
 import pytest
+from front_metrics import purity, spread_delta, spread_gamma
 from front_problems import ALONG, dtlz2, zdt, zdt_shape
 from pymoo.algorithms.moo.nsga2 import NSGA2
 from pymoo.core.problem import Problem
 from pymoo.optimize import minimize as pymoo_minimize
 
-from slbench.design.search.front import (
-    hypervolume,
-    nondominated,
-    purity,
-    spread_delta,
-    spread_gamma,
-)
+from slbench.design.search.front import hypervolume, nondominated
 from slbench.design.search.multisearch import minimize
 
 pytestmark = pytest.mark.slow  # some 20 000 evaluations many times over

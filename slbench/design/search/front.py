@@ -2,10 +2,7 @@
 
 All objectives are minimised.  A point *dominates* another when it is at most as large in
 every objective and smaller in one; a *front* is a set of points none of which is dominated.
-Hypervolume and domination come from the moocore library.  The other metrics are those of
-A. L. Custodio, J. F. A. Madeira, A. I. F. Vaz, L. N. Vicente, "Direct multisearch for
-multiobjective optimization", SIAM J. Optim. 21(3), 2011, section 4.2; each function states
-its formula.
+Hypervolume and domination come from the moocore library.
 """
 
 from dataclasses import dataclass, field
@@ -244,118 +241,6 @@ def hypervolume(f: ArrayLike, reference: ArrayLike) -> float:
     if corner.size == 1:
         return float(max(0.0, corner[0] - values.min()))
     return float(moocore.hypervolume(values, ref=corner))
-
-
-def purity(fronts: list[FloatArray]) -> FloatArray:
-    """Share of each front that no other front dominates.
-
-    ``purity_s = |F_s intersected with F| / |F_s|``, F the nondominated points of the union of
-    all F_s; a point found by several solvers counts for each of them.
-
-    Parameters
-    ----------
-    fronts : list of (n_s, m) array_like
-        Objectives found by each solver.
-
-    Returns
-    -------
-    (s,) ndarray
-        Purities in [0, 1]; NaN for an empty front.
-
-    Raises
-    ------
-    InputError
-        If there is no front or they differ in the number of objectives.
-    """
-    if not fronts:
-        raise InputError("fronts", "at least one", "none")
-    values = [_objectives(f"fronts[{i}]", front) for i, front in enumerate(fronts)]
-    if len({front.shape[1] for front in values if len(front)}) > 1:
-        raise InputError("fronts", "equal numbers of objectives", [v.shape for v in values])
-    union = np.concatenate([front for front in values if len(front)] or [np.empty((0, 1))])
-    best = {row.tobytes() for row in union[nondominated(union)] + 0.0}  # + 0.0: no -0
-    return np.array(
-        [
-            np.mean([row.tobytes() in best for row in front + 0.0]) if len(front) else np.nan
-            for front in values
-        ]
-    )
-
-
-def spread_gamma(f: ArrayLike, reference: ArrayLike | None = None) -> float:
-    """Largest hole of a front: Gamma of the paper.
-
-    ``Gamma = max_j max_{i = 0..N} delta_ij`` with ``delta_ij = f_j(y_{i+1}) - f_j(y_i)``,
-    where y_1..y_N are the front's points sorted by objective j, and y_0 and y_{N+1} the
-    points of the reference front with the least and the largest f_j.
-
-    Parameters
-    ----------
-    f : (N, m) array_like
-        Objectives of the front, N >= 1.
-    reference : (r, m) array_like, optional
-        Best front known; None: `f` itself, so that the ends add nothing.
-
-    Returns
-    -------
-    float
-        Gamma, in the units of the objectives; they should be commensurable.
-
-    Raises
-    ------
-    InputError
-        If either is empty or not finite, or they differ in the number of objectives.
-    """
-    inner, ends = _gaps(f, reference)
-    return float(max(inner.max(initial=0.0), ends.max()))
-
-
-def spread_delta(f: ArrayLike, reference: ArrayLike | None = None) -> float:
-    """How unevenly a front is spread: Delta of the paper.
-
-    ``Delta = max_j (d_0j + d_Nj + sum_{i=1}^{N-1} |d_ij - mean_j|)
-    / (d_0j + d_Nj + (N - 1) mean_j)`` with the gaps ``d_ij`` of :func:`spread_gamma` and
-    ``mean_j`` the mean of ``d_ij`` over ``i = 1..N-1``.
-
-    Parameters
-    ----------
-    f : (N, m) array_like
-        Objectives of the front, N >= 1.
-    reference : (r, m) array_like, optional
-        Best front known; None: `f` itself.
-
-    Returns
-    -------
-    float
-        Delta; 0 for equal gaps that reach the ends of the reference.  An objective that does
-        not vary over either front counts 0.
-
-    Raises
-    ------
-    InputError
-        As :func:`spread_gamma`.
-    """
-    inner, ends = _gaps(f, reference)
-    uneven = np.abs(inner - inner.mean(axis=0)).sum(axis=0) if len(inner) else 0.0
-    outside = ends.sum(axis=0)
-    total = outside + inner.sum(axis=0)
-    varies = total > 0
-    return float(np.max((outside + uneven)[varies] / total[varies], initial=0.0))
-
-
-def _gaps(f: ArrayLike, reference: ArrayLike | None) -> tuple[FloatArray, FloatArray]:
-    """Return the gaps between a front's points (N - 1, m) and to the reference's ends (2, m).
-
-    A front may reach beyond the reference, where it is dominated: the gap is a distance.
-    """
-    values = np.sort(_objectives("f", f), axis=0)
-    best = values if reference is None else _objectives("reference", reference)
-    if len(values) == 0 or len(best) == 0 or values.shape[1] != best.shape[1]:
-        raise InputError(
-            "f and reference", "points of as many objectives", f"{values.shape}, {best.shape}"
-        )
-    ends = np.abs([values[0] - best.min(axis=0), best.max(axis=0) - values[-1]])
-    return np.diff(values, axis=0), ends
 
 
 def _objectives(where: str, f: ArrayLike) -> FloatArray:
