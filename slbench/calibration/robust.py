@@ -25,21 +25,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
-from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.utils.validation import check_is_fitted
 
-from slbench.calibration.models.polynomials import (
-    Basis,
-    PolynomialForm,
-    Standardisation,
-    checked_inputs,
-    polynomial_form,
-)
+from slbench.calibration.models.polynomials import Basis
 from slbench.calibration.scales import predictive_scale, robust_scale, rounding
 from slbench.core.errors import InputError
 
@@ -245,115 +237,13 @@ def _huber_variance(residuals: Array, scale: float, p: int) -> float:
     return correction**2 * float(np.sum((residuals * weights) ** 2)) / (n - p) / mean**2
 
 
-class RobustPolynomial(RegressorMixin, BaseEstimator):
-    """A polynomial of thesis table 1, fitted robustly; a scikit-learn regressor.
-
-    Parameters
-    ----------
-    form : {"M1", "M2", "M3", "M4"}
-    loss : {"cauchy", "least-squares"}
-    max_iterations : int
-    tolerance : float
-        Change of the fitted values, in standard deviations of the noise, at which to stop.
-
-    Attributes
-    ----------
-    coef_ : (p,) float
-        For standardised inputs, in the order of ``form_.terms``.
-    raw_coef_ : (p,) float
-        For inputs in pixels.
-    covariance_ : (p, p) float
-        Of `coef_`.
-    residual_std_ : float
-        Standard deviation of the noise.
-    standardisation_ : Standardisation
-    form_ : PolynomialForm
-    weights_, residuals_, leverage_ : (n,) float
-        Of the training points; see :class:`WeightedFit`.
-    n_iter_ : int
-    converged_ : bool
-    n_features_in_ : int
-        3, or 4 with both panel axes.
-    """
-
-    def __init__(
-        self,
-        form: str = "M3",
-        loss: Loss = "cauchy",
-        max_iterations: int = 100,
-        tolerance: float = 1e-6,
-    ) -> None:
-        self.form = form
-        self.loss = loss
-        self.max_iterations = max_iterations
-        self.tolerance = tolerance
-
-    def fit(self, X: ArrayLike, y: ArrayLike) -> Self:
-        """Fit the polynomial.
-
-        Parameters
-        ----------
-        X : (n, 3) or (n, 4) float
-            ``u_c, v_c, u_p`` and perhaps ``v_p``, px.
-        y : (n,) float
-            World coordinate, mm.
-
-        Returns
-        -------
-        self
-
-        Raises
-        ------
-        InputError
-            For unusable data, too few points, or terms that depend on each other, by name.
-        """
-        check_options(self.loss, self.max_iterations, self.tolerance)
-        inputs = checked_inputs(X, where="X")
-        target = checked_response(y, len(inputs))
-        form = polynomial_form(self.form, "u" if inputs.shape[1] == 3 else "uv")
-        standardisation = Standardisation.of(inputs, form.variables)
-        basis = Basis.of(standardisation.apply(inputs), form)
-        options: dict[str, Any] = {
-            "max_iterations": self.max_iterations,
-            "tolerance": self.tolerance,
-        }
-        fit = irls(basis.q, target, loss=self.loss, **options)
-        self.form_: PolynomialForm = form
-        self.standardisation_ = standardisation
-        self.coef_, self.covariance_ = in_terms(basis, fit.coefficients, fit.variance)
-        self.raw_coef_ = standardisation.raw_coefficients(form, self.coef_)
-        self.residual_std_ = fit.residual_std
-        self.weights_, self.residuals_, self.leverage_ = fit.weights, fit.residuals, fit.leverage
-        self.n_iter_, self.converged_ = fit.iterations, fit.converged
-        self.n_features_in_ = inputs.shape[1]
-        return self
-
-    def predict(self, X: ArrayLike) -> Array:
-        """Return the predictions (n,) at inputs (n, k)."""
-        return self._design(X) @ self.coef_
-
-    def predict_std(self, X: ArrayLike) -> Array:
-        """Return the standard deviation (n,) of a new observation at inputs (n, k).
-
-        The variance of the model's prediction plus that of the noise.
-        """
-        design = self._design(X)
-        model = np.einsum("ni,ij,nj->n", design, self.covariance_, design, optimize=True)
-        return np.sqrt(np.maximum(model, 0.0) + self.residual_std_**2)
-
-    def _design(self, X: ArrayLike) -> Array:
-        check_is_fitted(self)
-        inputs = checked_inputs(X, self.n_features_in_, where="X")
-        return self.form_.design(self.standardisation_.apply(inputs))
-
-
 def in_terms(basis: Basis, coefficients: Array, variance: float) -> tuple[Array, Array]:
     """Carry coefficients and their variance from a basis to its form's terms, (p,), (p, p)."""
     inverse = solve_triangular(basis.r, np.eye(len(basis.form)), check_finite=False)
     return inverse @ coefficients, variance * (inverse @ inverse.T)
 
 
-def checked_response(y: Any, n: int, where: str = "y") -> Array:
+def checked_response(y: Any, n: int, where: str) -> Array:
     """Check a response: n finite numbers, not all the same.
 
     Raises

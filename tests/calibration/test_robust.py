@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 from calibration_data import polynomial_data
+from robust_polynomial import RobustPolynomial
 from scipy.integrate import quad
 from scipy.stats import chi, chi2
-from sklearn.base import clone
-from sklearn.model_selection import cross_val_score
 
 from slbench.calibration.models.polynomials import Basis, polynomial_form
 from slbench.calibration.multivariate import CHI2_MEDIAN_3D, TUNING_3D, joint_irls
 from slbench.calibration.robust import (
     CAUCHY_TUNING,
-    RobustPolynomial,
     cauchy_weights,
+    check_options,
+    checked_response,
     irls,
     robust_scale,
 )
@@ -204,41 +204,17 @@ def test_predicted_deviation_covers(form, n):
     assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
 
 
-class TestScikitLearn:
-    x, _, y = polynomial_data("M3", 200, 0.1, np.random.default_rng(12))
+@pytest.mark.parametrize("options", [{"loss": "huber"}, {"max_iterations": 0}, {"tolerance": 0.0}])
+def test_bad_options(options):
+    options = {"loss": "cauchy", "max_iterations": 100, "tolerance": 1e-6, **options}
+    with pytest.raises(InputError):
+        check_options(**options)
 
-    def test_parameters(self):
-        model = RobustPolynomial("M2", tolerance=1e-4)
-        assert model.get_params() == {
-            "form": "M2",
-            "loss": "cauchy",
-            "max_iterations": 100,
-            "tolerance": 1e-4,
-        }
-        assert clone(model.set_params(form="M3")).form == "M3"
-        assert model.fit(self.x, self.y) is model
 
-    def test_score_and_cross_validation(self):
-        fit = RobustPolynomial("M3").fit(self.x, self.y)
-        residual = self.y - fit.predict(self.x)
-        assert fit.score(self.x, self.y) == pytest.approx(
-            1 - residual.var() / self.y.var(), abs=1e-3
-        )
-        scores = cross_val_score(RobustPolynomial("M3"), self.x, self.y, cv=4)
-        assert scores.min() > 0.98  # noise of 0.1 against a spread of more than 1
-
-    @pytest.mark.parametrize(
-        "options",
-        [{"form": "M9"}, {"loss": "huber"}, {"max_iterations": 0}, {"tolerance": 0.0}],
-    )
-    def test_bad_options(self, options):
-        with pytest.raises(InputError):
-            RobustPolynomial(**options).fit(self.x, self.y)
-
-    @pytest.mark.parametrize("y", [np.ones(200), np.ones(3), np.full(200, np.nan), "abc"])
-    def test_bad_responses(self, y):
-        with pytest.raises(InputError, match="y"):
-            RobustPolynomial().fit(self.x, y)
+@pytest.mark.parametrize("y", [np.ones(200), np.ones(3), np.full(200, np.nan), "abc"])
+def test_bad_responses(y):
+    with pytest.raises(InputError, match="z_mm"):
+        checked_response(y, 200, "z_mm")
 
 
 class TestJointFit:

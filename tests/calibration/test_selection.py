@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from calibration_data import polynomial_data, rig_points
+from robust_polynomial import RobustPolynomial
 
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import FORMS, Standardisation, polynomial_form
-from slbench.calibration.robust import RobustPolynomial
 from slbench.calibration.selection import (
     forms_for,
     median_absolute,

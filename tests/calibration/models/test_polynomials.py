@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from calibration_data import polynomial_data
+from robust_polynomial import RobustPolynomial
 
 from slbench.calibration.models.polynomials import (
     FORMS,
@@ -11,7 +12,6 @@ from slbench.calibration.models.polynomials import (
     checked_inputs,
     polynomial_form,
 )
-from slbench.calibration.robust import RobustPolynomial
 from slbench.core.errors import InputError
 
 RNG = np.random.default_rng(1)
