@@ -10,6 +10,7 @@ import typer
 from slbench.cli.lazy import command
 from slbench.cli.objects.artefact import Changes, Name, artefact_of
 from slbench.core.errors import InputError
+from slbench.core.registry import quoted
 
 
 @command("slbench objects show coin-3 --out coin.png --material gold")
@@ -27,7 +28,8 @@ def show(
     from slbench.simulate.render.show import shade
 
     if material is not None and material not in PRESETS:
-        raise InputError("--material", f"one of {', '.join(PRESETS)}", material)
+        names = list(PRESETS)
+        raise InputError("--material", " or ".join(names), quoted(material, names))
     artefact = artefact_of(name, changes)
     image, mm_per_px = shade(artefact, material=PRESETS[material] if material else None)
     object_picture(artefact, image, mm_per_px, out)
