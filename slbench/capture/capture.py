@@ -40,8 +40,9 @@ from slbench.core.display import block
 from slbench.core.drawing import figure
 from slbench.core.errors import InputError
 from slbench.core.io import read_grey, read_toml, write_png, write_toml
-from slbench.core.modules import load_modules
+from slbench.core.modules import load_modules, save_modules
 from slbench.patterns import (
+    CODES,
     MIN_MODULATION_DN,
     NoiseModel,
     PatternSequence,
@@ -176,7 +177,10 @@ class Capture:
         return figure(self)
 
     def save(self, folder: str | Path) -> None:
-        """Write frames, manifest and rig to `folder`; the manifest comes last."""
+        """Write frames, manifest and rig to `folder`; the manifest comes last.
+
+        The modules that its codes came from stand beside them.
+        """
         root = Path(folder)
         (root / "frames").mkdir(parents=True, exist_ok=True)
         names = [f"frames/{k:03d}.png" for k in range(len(self.frames))]
@@ -188,6 +192,9 @@ class Capture:
             "frames": names,
             "patterns": self.sequence.to_dict(root),
         }
+        modules = save_modules((CODES.origin(part.kind) for part in self.sequence.parts), root)
+        if modules:
+            manifest["modules"] = modules
         if self.pair != ALONE:
             manifest |= self.pair._asdict()
         if self.saturation_dn is not None:

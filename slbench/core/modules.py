@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,29 @@ def module_paths(
 def used_modules() -> list[dict[str, str]]:
     """Return path and SHA-256 of the modules that were run in this process."""
     return [{"path": path, "sha256": digest} for digest, (path, _) in _run.items()]
+
+
+def save_modules(origins: Iterable[str], folder: Path) -> list[str]:
+    """Write modules beside a file that is to name them.
+
+    Parameters
+    ----------
+    origins : iterable of str
+        As :meth:`slbench.core.registry.Registry.origin` gives them; what is no module is left out.
+    folder : Path
+
+    Returns
+    -------
+    list of str
+        Names of the files, for ``modules`` of that file.
+    """
+    content = dict(_run.values())
+    names = []
+    for origin in dict.fromkeys(origins):
+        if origin in content:
+            names.append(Path(origin).name)
+            (folder / names[-1]).write_bytes(content[origin])
+    return names
 
 
 def module_content(sha256: str) -> bytes:

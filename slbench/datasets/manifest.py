@@ -12,11 +12,13 @@ from slbench.core.io import plain
 from slbench.core.validation import shown, validated
 from slbench.datasets.spec.specification import Patterns, Specification
 from slbench.datasets.store.index import FIXED
-from slbench.datasets.store.shards import is_member
+from slbench.datasets.store.shards import digest, is_member
 from slbench.datasets.store.storage import Storage
 
 #: Name of the file in a data set.
 MANIFEST = "dataset.json"
+#: Folder of the files that the specification refers to.
+FILES = "files"
 #: Version of the layout.
 FORMAT = 1
 
@@ -88,6 +90,12 @@ class Manifest:
         text = json.dumps(self.to_dict(), indent=2, ensure_ascii=False, allow_nan=False)
         storage.write(MANIFEST, (text + "\n").encode())
 
+    def check_file(self, storage: Storage, name: str, content: bytes) -> None:
+        """Refuse a file of :attr:`files` that is not the one which the data set was made with."""
+        if digest(content) != self.files.get(name):
+            where = storage.where(f"{FILES}/{name}")
+            raise InputError(where, f"the file of SHA-256 {self.files.get(name)}", "another")
+
     @classmethod
     def load(cls, storage: Storage) -> Manifest:
         """Read ``dataset.json``.
@@ -147,9 +155,9 @@ def _check_parts(manifest: Manifest, where: str) -> None:
     for name in manifest.drawn:
         if not isinstance(name, str) or name not in manifest.columns:
             raise InputError(f"{where}: drawn", "names of columns", shown(name))
-    for name, digest in manifest.files.items():
-        if not is_member(name) or not isinstance(digest, str):
-            raise InputError(f"{where}: files", "plain names and SHA-256", shown({name: digest}))
+    for name, found in manifest.files.items():
+        if not is_member(name) or not isinstance(found, str):
+            raise InputError(f"{where}: files", "plain names and SHA-256", shown({name: found}))
     libraries = manifest.environment.get("libraries", {})
     if not isinstance(libraries, Mapping):
         raise InputError(f"{where}: environment.libraries", "a table of versions", shown(libraries))

@@ -111,7 +111,8 @@ detectors: Registry[type[DetectorModel]] = Registry(
     {"emva1288": "slbench.detector.emva1288:Detector"},
     base="slbench.detector.base:DetectorModel",
 )
-_DEFAULT = "emva1288"
+#: What a table is that names none.
+DEFAULT = "emva1288"
 
 
 def detector_of(table: Mapping[str, Any], where: str) -> DetectorModel:
@@ -125,5 +126,5 @@ def detector_of(table: Mapping[str, Any], where: str) -> DetectorModel:
     if not isinstance(table, Mapping):
         raise InputError(where, "a table of a detector", shown(table))
     values = dict(table)
-    kind = detectors.get(values.pop("kind", _DEFAULT), f"{where}.kind")
+    kind = detectors.get(values.pop("kind", DEFAULT), f"{where}.kind")
     return validated(kind, values, where)

@@ -36,6 +36,8 @@ bsdfs: Registry[type[Bsdf]] = Registry(
     },
     base="slbench.scene.bsdfs:Bsdf",
 )
+#: What a table is that names none.
+DEFAULT = "diffuse"
 
 
 def grey(value: float) -> dict[str, Any]:

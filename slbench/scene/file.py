@@ -5,7 +5,7 @@ to the scene's folder and cannot leave it.
 
 ``extends = "..."`` takes everything from another scene first: tables are merged key by key,
 anything else (lists too) is replaced.  What several scenes share thus stands once, in
-``scenes/hardware``.
+``scenes/hardware``.  A detector or a material of another kind has other keys, and is replaced.
 
 ``modules = ["my_codes.py"]`` names Python files beside the scene that add to the registries
 (:mod:`slbench.core.modules`); those of a scene that is extended run first.
@@ -27,10 +27,12 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
 from slbench.core.validation import validated
+from slbench.detector.base import DEFAULT as DEFAULT_DETECTOR
 from slbench.detector.base import detector_of
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
+from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
 from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 from slbench.scene.tables import SceneTables
@@ -167,8 +169,17 @@ def _merged(base: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:
     result = dict(base)
     for key, value in content.items():
         both = isinstance(value, dict) and isinstance(result.get(key), dict)
-        result[key] = _merged(result[key], value) if both else value
+        merge = both and not _of_another_kind(result[key], value)
+        result[key] = _merged(result[key], value) if merge else value
     return result
+
+
+def _of_another_kind(base: dict[str, Any], table: dict[str, Any]) -> bool:
+    """Return whether a detector or a material is of another kind than that it would extend."""
+    return any(
+        word in table and table[word] != base.get(word, default)
+        for word, default in (("kind", DEFAULT_DETECTOR), ("bsdf", DEFAULT_BSDF))
+    )
 
 
 def _build(

@@ -13,7 +13,7 @@ from typing import Any
 
 from slbench.core.errors import InputError
 from slbench.core.validation import shown, validated
-from slbench.scene.bsdfs import Bsdf, Diffuse, RoughConductor, RoughPlastic, bsdfs
+from slbench.scene.bsdfs import DEFAULT, Bsdf, Diffuse, RoughConductor, RoughPlastic, bsdfs
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class Material:
         if not isinstance(table, Mapping):
             raise InputError(where, "a table with bsdf and its parameters", shown(table))
         values = dict(table)
-        kind = bsdfs.get(values.pop("bsdf", "diffuse"), f"{where}.bsdf")
+        kind = bsdfs.get(values.pop("bsdf", DEFAULT), f"{where}.bsdf")
         return cls(validated(kind, values, where))
 
 

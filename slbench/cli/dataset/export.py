@@ -64,6 +64,9 @@ def export(
     from slbench.datasets.read.recipe import Recipe
     from slbench.patterns import PatternSequence
 
+    data = datasets.open_dataset(
+        dataset, allow_modules=allow_modules
+    )  # its modules may have the format
     fractions = _fractions(split or [])
     if fractions:  # --out is a folder, whatever stands in it
         check_target("frames", out)
@@ -72,7 +75,6 @@ def export(
     if not fractions:
         check_target(form, out)
     check_folder(out.parent)
-    data = datasets.open_dataset(dataset, allow_modules=allow_modules)
     if where is not None:
         data = data.where(where)
     if patterns is not None and len(data):

@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from slbench.cli.common import Json, print_json, print_table
 from slbench.cli.lazy import command
 
 
 @command("slbench objects list", name="list")
-def list_objects(as_json: Json = False) -> None:
+def list_objects(
+    kinds: Annotated[
+        bool, typer.Option("--kinds", help="List what can be built, and whose it is.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
     """List the shipped artefacts, their size and certified dimensions."""
     from rich.table import Table
 
     from slbench import objects
     from slbench.core import resources
 
+    if kinds:
+        origins = {name: objects.artefacts.origin(name) for name in objects.artefacts}
+        if as_json:
+            print_json(origins)
+            return
+        table = Table("kind", "from", title="Kinds of artefact")
+        for row in origins.items():
+            table.add_row(*row)
+        print_table(table)
+        return
     found = [objects.load_artefact(name) for name in resources.names("objects")]
     if as_json:
         print_json(

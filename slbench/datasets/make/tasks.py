@@ -31,7 +31,7 @@ from slbench.datasets.make.sample_maker import (
     row_of,
     stamped,
 )
-from slbench.datasets.manifest import MANIFEST, Manifest
+from slbench.datasets.manifest import FILES, MANIFEST, Manifest
 from slbench.datasets.spec.specification import Specification, from_dict
 from slbench.datasets.store import index
 from slbench.datasets.store.shards import END, digest, key, pack, shard_name, unpack
@@ -43,7 +43,6 @@ ATTEMPTS = 3
 THREADS = "SLBENCH_THREADS"
 RUN = "run.json"
 STAGING = "staging"
-FILES = "files"
 
 _REASON = 300
 _STAGED = re.compile(r"[0-9]{6,}\.tar")
@@ -158,10 +157,8 @@ def _plan(run: Run) -> tuple[Manifest, Specification, dict[str, bytes]]:
         raise InputError("worker", f"{found[0]} {found[1]}, as the data set is made with", found[2])
     specification = from_dict(manifest.specification, storage.where(MANIFEST))
     files = {name: storage.read(f"{FILES}/{name}") for name in sorted(specification.files())}
-    for name in specification.modules or ():  # code that is run is that which was allowed
-        if digest(files[name]) != manifest.files.get(name):
-            where = storage.where(f"{FILES}/{name}")
-            raise InputError(where, f"the module of SHA-256 {manifest.files.get(name)}", "another")
+    for name in specification.modules or ():  # the code that is run is that which was allowed
+        manifest.check_file(storage, name, files[name])
     return manifest, specification, files
 
 

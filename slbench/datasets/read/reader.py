@@ -21,12 +21,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
-from slbench.datasets.manifest import MANIFEST, Manifest
+from slbench.core.modules import load_modules
+from slbench.datasets.manifest import FILES, MANIFEST, Manifest
 from slbench.datasets.read.split import by_object
 from slbench.datasets.read.stored import Row, Sample
 from slbench.datasets.read.where import rows_where
 from slbench.datasets.store import index
-from slbench.datasets.store.shards import key
+from slbench.datasets.store.sample import unpacked
+from slbench.datasets.store.shards import is_member, key
 from slbench.datasets.store.storage import Storage
 
 T = TypeVar("T")
@@ -199,6 +201,8 @@ def open_dataset(path: str | Path, *, verify: bool = True, allow_modules: bool =
     if not storage.exists(MANIFEST):
         raise InputError(path, f"a data set, with {MANIFEST}", "none")
     manifest = Manifest.load(storage)
+    if allow_modules:
+        _run_modules(storage, manifest)
     where = storage.where(index.INDEX)
     if not storage.exists(index.INDEX):
         expected = "the index (`slbench dataset make ... --resume` finishes a data set)"
@@ -209,6 +213,16 @@ def open_dataset(path: str | Path, *, verify: bool = True, allow_modules: bool =
         _check_place(row, where)
     failed = tuple(row for row in rows if row["status"] != index.OK)
     return Dataset(manifest, storage, ready, failed, verify, allow_modules)
+
+
+def _run_modules(storage: Storage, manifest: Manifest) -> None:
+    """Run the modules that the data set was made with, as their SHA-256 says."""
+    names = manifest.specification.get("modules") or ()
+    files = {name: storage.read(f"{FILES}/{name}") for name in names if is_member(name)}
+    for name, content in files.items():
+        manifest.check_file(storage, name, content)
+    with unpacked(files) as folder:
+        load_modules(list(files), folder, True, f"{storage.where(MANIFEST)}: modules")
 
 
 def _check_place(row: Row, where: str) -> None:

@@ -75,6 +75,10 @@ def write_capture(folder: Path, prefix: str, shots: Capture) -> None:
         for written, name in zip(manifest["frames"], names, strict=True):
             (Path(temporary) / written).rename(folder / name)
         manifest["frames"] = names
+        for k, module in enumerate(manifest.get("modules", ())):
+            flat = module if module.startswith(f"{MODULE}.") else f"{MODULE}.{module}"
+            (Path(temporary) / module).rename(folder / flat)
+            manifest["modules"][k] = flat
         write_toml(folder / f"{prefix}.{MANIFEST}", manifest)
 
 

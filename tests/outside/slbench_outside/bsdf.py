@@ -1,0 +1,11 @@
+from slbench.core.types import Share
+from slbench.scene.bsdfs import Bsdf, grey
+
+
+class SmoothPlastic(Bsdf):
+    """A diffuse base under a smooth coat."""
+
+    albedo: Share = 0.5
+
+    def mitsuba(self):
+        return {"type": "plastic", "diffuse_reflectance": grey(self.albedo)}
