@@ -28,9 +28,10 @@ beside ``capture.toml``, and the same manifest describes real photographs::
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,9 +39,11 @@ from numpy.typing import NDArray
 from slbench.core import resources
 from slbench.core.display import block
 from slbench.core.drawing import figure
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 from slbench.core.io import read_grey, read_toml, write_png, write_toml
 from slbench.core.modules import load_modules, save_modules
+from slbench.core.types import BitDepth, Count, MinLen, NotNegative, Positive, Word
+from slbench.core.values import Value, validated
 from slbench.patterns import (
     CODES,
     MIN_MODULATION_DN,
@@ -53,26 +56,29 @@ from slbench.rig import ALONE, Pair, Rig
 from slbench.rig.opencv import read_rig, write_rig
 
 MANIFEST = "capture.toml"
-#: Bits of a digital number that cameras have.
-BIT_DEPTHS = (8, 10, 12, 14, 16)
 _FORMAT = 1
-_KEYS = {
-    "format",
-    "bit_depth",
-    "saturation_dn",
-    "min_modulation_dn",
-    "frames",
-    "rig",
-    "patterns",
-    "noise",
-    "exposure_ms",
-    "modules",
-    *Pair._fields,
-}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureTable(Value):
+    """The keys of a ``capture.toml``."""
+
+    frames: Annotated[tuple[str, ...], MinLen(1)]
+    patterns: dict[str, Any]
+    format: Literal[1] = 1
+    modules: tuple[str, ...] = ()
+    bit_depth: BitDepth | None = None
+    saturation_dn: Count | None = None
+    min_modulation_dn: NotNegative | None = None
+    exposure_ms: Positive | None = None
+    rig: str | None = None
+    noise: NoiseModel | None = None
+    camera: Word = ALONE.camera
+    projector: Word = ALONE.projector
 
 
 @dataclass(frozen=True, eq=False)
-class Capture:
+class Capture(Value):
     """The frames of one scan and what was projected.
 
     Parameters
@@ -98,15 +104,16 @@ class Capture:
 
     frames: NDArray[Any]
     sequence: PatternSequence
-    bit_depth: int = 8
+    bit_depth: BitDepth = 8
     noise: NoiseModel | None = None
     rig: Rig | None = None
-    exposure_s: float | None = None
-    saturation_dn: int | None = None
-    min_modulation_dn: float | None = None
+    exposure_s: Positive | None = None
+    saturation_dn: Count | None = None
+    min_modulation_dn: NotNegative | None = None
     pair: Pair = ALONE
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         frames = self.frames
         if frames.ndim != 3 or frames.dtype not in (np.uint8, np.uint16) or frames.size == 0:
             raise InputError(
@@ -118,18 +125,10 @@ class Capture:
                 f"{self.sequence.n_frames}, as many as patterns ({self.sequence.name})",
                 len(frames),
             )
-        if type(self.bit_depth) is not int or self.bit_depth not in BIT_DEPTHS:
-            raise InputError("bit_depth", f"one of {BIT_DEPTHS}", repr(self.bit_depth))
         top = 2**self.bit_depth - 1
-        level = self.saturation_dn
-        if level is not None and (type(level) is not int or not 1 <= level <= top):
-            raise InputError("saturation_dn", f"a whole number from 1 to {top}", repr(level))
-        time = self.exposure_s
-        if time is not None and not 0 < time < np.inf:
-            raise InputError("exposure", "a positive time", f"{time} s")
-        least = self.min_modulation_dn
-        if least is not None and (type(least) not in (int, float) or not 0 <= least <= top):
-            raise InputError("min_modulation_dn", f"a number from 0 to {top}", repr(least))
+        for key in ("saturation_dn", "min_modulation_dn"):
+            if (getattr(self, key) or 0) > top:
+                raise InputError(key, f"at most {top} DN, the top of the range", getattr(self, key))
         if frames.dtype.itemsize * 8 < self.bit_depth:
             raise InputError("capture frames", f"{self.bit_depth} bit frames", frames.dtype)
         if self.rig is not None:
@@ -229,34 +228,26 @@ class Capture:
         root = Path(folder)
         path = root if root.suffix == ".toml" else root / MANIFEST
         manifest = read_toml(path)
-        for key in manifest:
-            if key not in _KEYS:
-                raise InputError(f"{path}: {key}", f"one of {sorted(_KEYS)}", "an unknown key")
-        for key in ("frames", "patterns"):
-            if key not in manifest:
-                raise InputError(f"{path}: {key}", "this key to be present", "nothing")
-        if manifest.get("format", _FORMAT) != _FORMAT:
-            raise InputError(f"{path}: format", str(_FORMAT), manifest["format"])
-        modules = manifest.get("modules", ())
-        load_modules(modules, path.parent, allow_modules, f"{path}: modules")
-        try:
+        table = validated(CaptureTable, manifest, str(path), ": ")
+        load_modules(table.modules, path.parent, allow_modules, f"{path}: modules")
+        with located(path):
             sequence = PatternSequence.from_dict(manifest["patterns"], path.parent)
-            noise = _noise(manifest["noise"]) if "noise" in manifest else None
-            frames = _read_frames(path.parent, manifest["frames"])
-            pair = _pair(manifest)
+            frames = _read_frames(path.parent, table.frames)
+            pair = Pair(table.camera, table.projector)
             rig = None
-            if "rig" in manifest:
-                rig = read_rig(resources.inside(path.parent, manifest["rig"])).pair(pair)
-            bits = manifest.get("bit_depth", 8 * frames.dtype.itemsize)
-            exposure = manifest.get("exposure_ms")
-            if exposure is not None and type(exposure) not in (int, float):
-                raise InputError("exposure_ms", "a number", repr(exposure))
-            time = None if exposure is None else float(exposure) * 1e-3
-            saturation = manifest.get("saturation_dn")
-            least = manifest.get("min_modulation_dn")
-            return cls(frames, sequence, bits, noise, rig, time, saturation, least, pair)
-        except InputError as error:
-            raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
+            if table.rig is not None:
+                rig = read_rig(resources.inside(path.parent, table.rig)).pair(pair)
+            return cls(
+                frames,
+                sequence,
+                table.bit_depth or 8 * frames.dtype.itemsize,  # type: ignore[arg-type]
+                table.noise,
+                rig,
+                None if table.exposure_ms is None else table.exposure_ms * 1e-3,
+                table.saturation_dn,
+                table.min_modulation_dn,
+                pair,
+            )
 
 
 def read_capture(folder: str | Path, *, allow_modules: bool = False) -> Capture:
@@ -265,14 +256,6 @@ def read_capture(folder: str | Path, *, allow_modules: bool = False) -> Capture:
     The function of :meth:`Capture.load`, which says what is raised.
     """
     return Capture.load(folder, allow_modules=allow_modules)
-
-
-def _pair(manifest: dict[str, Any]) -> Pair:
-    names = {key: manifest[key] for key in Pair._fields if key in manifest}
-    for key, name in names.items():
-        if not isinstance(name, str) or not name:
-            raise InputError(key, "the name of a device", repr(name))
-    return Pair(**names)
 
 
 def _check_sizes(rig: Rig, frames: tuple[int, ...], panel: tuple[int, int]) -> None:
@@ -291,19 +274,7 @@ def _check_sizes(rig: Rig, frames: tuple[int, ...], panel: tuple[int, int]) -> N
         )
 
 
-def _noise(table: Any) -> NoiseModel:
-    fields = {"read_dn", "gain_dn_per_e", "offset_dn", "step_dn"}
-    if not isinstance(table, dict) or set(table) - fields:
-        raise InputError("noise", f"a table with {sorted(fields)}", table)
-    for key, value in table.items():
-        if not isinstance(value, (int, float)) or isinstance(value, bool):
-            raise InputError(f"noise.{key}", "a number", repr(value))
-    return NoiseModel(**table)
-
-
-def _read_frames(folder: Path, names: Any) -> NDArray[Any]:
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-        raise InputError("frames", "a list of image files", repr(names)[:60])
+def _read_frames(folder: Path, names: Sequence[str]) -> NDArray[Any]:
     frames: NDArray[Any] | None = None
     for k, name in enumerate(names):
         image = read_grey(resources.inside(folder, name))

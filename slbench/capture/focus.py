@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain, product
-from typing import Self
+from itertools import product
+from typing import Annotated, Self
 
 import numpy as np
 
 from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.types import MaxLen, MinLen, Positive
+from slbench.core.values import Value
 from slbench.rig import Rig
 
 #: More settings than any stack has are a slip.
@@ -18,7 +20,7 @@ MAX_SETTINGS = 1000
 
 
 @dataclass(frozen=True)
-class Focus:
+class Focus(Value):
     """Focus settings of a stack: one distance of each device a setting.
 
     Parameters
@@ -27,20 +29,16 @@ class Focus:
         By device: distances in focus along its axis, equally many, at least one.
     """
 
-    distances_mm: Mapping[str, tuple[float, ...]]
+    distances_mm: dict[str, Annotated[tuple[Positive, ...], MinLen(1), MaxLen(MAX_SETTINGS)]]
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         counts = {name: len(values) for name, values in self.distances_mm.items()}
-        if len(set(counts.values())) != 1 or not min(counts.values()):
+        if len(set(counts.values())) != 1:
             got = " and ".join(f"{count} of the {name}" for name, count in counts.items())
-            raise InputError("focus", "as many distances of every device, at least one", got)
-        if len(self) > MAX_SETTINGS:
-            raise InputError("focus", f"at most {MAX_SETTINGS} settings", len(self))
-        for distance in chain.from_iterable(self.distances_mm.values()):
-            if not 0 < distance < np.inf:
-                raise InputError("focus", "positive distances (mm)", distance)
+            raise InputError("focus", "as many distances of every device", got)
 
     def __len__(self) -> int:
         return len(next(iter(self.distances_mm.values())))

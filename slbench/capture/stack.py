@@ -12,10 +12,10 @@ the modulation of the finest fringes, pixel by pixel.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import cv2
 import numpy as np
@@ -30,21 +30,23 @@ from slbench.capture.fusion.photographs import FusionMethod
 from slbench.core import resources
 from slbench.core.display import block, brief
 from slbench.core.drawing import figure
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 from slbench.core.io import atomic_folder, read_grey, read_toml, write_exr, write_toml
+from slbench.core.registry import quoted
+from slbench.core.types import MinLen, Positive, Word
+from slbench.core.values import validated
 from slbench.patterns import NoiseModel, PhaseMap
-from slbench.rig import Pair
+from slbench.rig import ALONE, Pair
 
 Array = NDArray[np.float64]
 WeightSource = Literal["lit", "modulation"]
 
 MANIFEST = "stack.toml"
 _FORMAT = 1
-_KEYS = {"format", "captures"}
 #: Behind the name of a device: its distances in focus.
 _FOCUS = "_mm"
 #: Fused frames have 16 bits: averages are finer than the frames that they are made of.
-_BITS = 16
+_BITS: Final = 16
 #: A fused pixel counts as saturated when this share of its weight is.
 _SATURATED_SHARE = 0.01
 #: Modulation that is nothing but rounding, DN: there all settings count alike.
@@ -268,18 +270,11 @@ class FocusStack:
         """
         path = Path(folder) / MANIFEST
         manifest = read_toml(path)
-        if manifest.get("format", _FORMAT) != _FORMAT:
-            raise InputError(f"{path}: format", str(_FORMAT), manifest["format"])
-        names = manifest.get("captures")
-        if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
-            raise InputError(f"{path}: captures", "a list of folders", repr(names)[:60])
-        captures = _Folders(path, names, allow_modules)
-        devices = captures[0].pair
-        known = {*_KEYS, *(name + _FOCUS for name in devices)}
-        for key in manifest:
-            if key not in known:
-                raise InputError(f"{path}: {key}", f"one of {sorted(known)}", "an unknown key")
-        return cls(captures, _focus(path, manifest, devices), captures.frame)
+        distances = tuple(key for key in manifest if key.endswith(_FOCUS))
+        table = validated(_stack_table(distances), manifest, str(path), ": ")
+        captures = _Folders(path, table.captures, allow_modules)
+        focus = _focus(path, {key: getattr(table, key) for key in distances}, captures[0].pair)
+        return cls(captures, focus, captures.frame)
 
 
 def read_stack(folder: str | Path, *, allow_modules: bool = False) -> FocusStack:
@@ -293,7 +288,7 @@ def read_stack(folder: str | Path, *, allow_modules: bool = False) -> FocusStack
 class _Folders(Sequence[Capture]):
     """Captures on disk, alike by their manifests; the first is kept."""
 
-    def __init__(self, path: Path, names: list[str], allow_modules: bool) -> None:
+    def __init__(self, path: Path, names: Sequence[str], allow_modules: bool) -> None:
         self._allow = allow_modules
         self._folders = [resources.inside(path.parent, name) for name in names]
         self._first = Capture.load(self._folders[0], allow_modules=allow_modules)
@@ -408,25 +403,30 @@ def _check_alike(where: str, first: Capture, other: Capture) -> None:
         raise InputError(where, expected, f"{other.frames.shape} with {other.bit_depth}")
 
 
-def _focus(path: Path, manifest: dict[str, Any], devices: Pair) -> Focus | None:
+def _stack_table(distances: tuple[str, ...]) -> Any:
+    """Return the model of a ``stack.toml`` that has these keys with distances of devices."""
+    from pydantic import create_model
+
+    from slbench.core.validation import Parameters
+
+    names = dict.fromkeys((*(f"{name}{_FOCUS}" for name in ALONE), *distances))
+    fields: Any = dict.fromkeys(names, (tuple[Positive, ...] | None, None))
+    captures = Annotated[tuple[Word, ...], MinLen(1)]
+    return create_model(
+        "Stack", __base__=Parameters, format=(Literal[1], 1), captures=(captures, ...), **fields
+    )
+
+
+def _focus(path: Path, given: Mapping[str, tuple[float, ...]], devices: Pair) -> Focus | None:
     wanted = [name + _FOCUS for name in devices]
-    keys = [key for key in wanted if key in manifest]
-    if not keys:
+    if not given:
         return None
-    if len(keys) < len(wanted):
-        raise InputError(path, f"{' and '.join(wanted)}, or neither", keys[0])
-    distances: dict[str, tuple[float, ...]] = {}
-    for key in keys:
-        values = manifest[key]
-        numbers = isinstance(values, list) and all(type(v) in (int, float) for v in values)
-        if not numbers or len(values) != len(manifest["captures"]):
-            expected = f"{len(manifest['captures'])} numbers, one a capture"
-            raise InputError(f"{path}: {key}", expected, repr(values)[:60])
-        distances[key.removesuffix(_FOCUS)] = tuple(float(v) for v in values)
-    try:
-        return Focus(distances)
-    except InputError as error:
-        raise InputError(f"{path}: {error.where}", error.expected, error.got) from None
+    for key in (*given, *wanted):
+        if key not in given or key not in wanted:
+            found = quoted(key, wanted) if key in given else ", ".join(given)
+            raise InputError(path, f"{' and '.join(wanted)}, or neither", found)
+    with located(path):
+        return Focus({name: given[name + _FOCUS] for name in devices})
 
 
 def _scaled(noise: NoiseModel, scale: float) -> NoiseModel:

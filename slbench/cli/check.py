@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,7 +10,7 @@ import typer
 
 from slbench.cli.common import AllowModules, Json, Preview, Seed, print_json, print_table, progress
 from slbench.cli.lazy import command
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -68,7 +66,7 @@ def check(
             raise InputError("--update", expected, "--preview")
     with progress(as_json) as report:
         pools = Pools(seed, report, allow_modules)
-        with _naming(claims):
+        with located(claims.name):
             for claim in loaded:
                 pools.check(claim)
         old: Baseline | None = None
@@ -79,7 +77,7 @@ def check(
                 old = None
             else:
                 check_fit(old, loaded, pools)
-        with _naming(claims):
+        with located(claims.name):
             results = [check_claim(claim, pools) for claim in loaded]
     if old is not None:
         results = with_regressions(results, compare_with(old, results))
@@ -105,15 +103,6 @@ def check(
     if refused:
         raise refused
     raise typer.Exit(status)
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Put the file's name into an error that names a claim."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
 
 
 def _check_path(option: str, path: Path, *others: Path) -> None:

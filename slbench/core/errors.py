@@ -5,6 +5,9 @@ Anything a user can get wrong (a file, a key, a unit, an image size) raises
 what was found.  The command line prints that line and exits with status 2.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class InputError(ValueError):
     """Input that cannot be used; ``str(error)`` is one line for the user.
@@ -29,3 +32,17 @@ class InputError(ValueError):
     def __reduce__(self) -> tuple[type, tuple[str, str, object]]:
         # An error of a worker process reaches its caller whole.
         return type(self), (self.where, self.expected, self.got)
+
+
+@contextmanager
+def located(where: object) -> Iterator[None]:
+    """Put a place before that of each :class:`InputError`, unless it names it already.
+
+    For what reads one thing as part of another: the message names the file that was opened.
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.where.startswith(str(where)):
+            raise
+        raise InputError(f"{where}: {error.where}", error.expected, error.got) from None

@@ -17,7 +17,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 from slbench.core.registry import adding
 from slbench.core.resources import inside
 
@@ -131,14 +131,11 @@ def _execute(path: Path, content: bytes, digest: str, where: str) -> None:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        with adding(str(path)):
+        with located(where), adding(str(path)):
             # The bytes that were hashed, and no cached byte code beside the file.
             exec(compile(content, str(path), "exec"), module.__dict__)
-    except InputError as error:
-        del sys.modules[name]
-        raise InputError(f"{where}: {error.where}", error.expected, error.got) from error
     except BaseException as error:  # whatever the file does, no half of it stays
         del sys.modules[name]
-        if not isinstance(error, Exception):
+        if isinstance(error, InputError) or not isinstance(error, Exception):
             raise
         raise InputError(where, "a module that runs", repr(error)) from error

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from slbench.core.errors import InputError
+from slbench.core.registry import quoted
 
 Kind = Literal["scenes", "objects"]
 
@@ -73,9 +74,10 @@ def find(kind: Kind, name_or_path: str | Path) -> Path:
         shipped = folder / f"{name.removesuffix('.toml')}.toml"
         if _is_file(shipped):
             return shipped
-    raise InputError(
-        kind, f"a path to a file or one of {', '.join(names(kind)) or 'none'}", repr(name)
-    )
+    known = names(kind)
+    folders = [f"{path.parent.name}/{path.stem}" for path in folder.glob("*/*.toml")]
+    expected = f"a path to a file or one of {', '.join(known) or 'none'}"
+    raise InputError(kind, expected, quoted(name, [*known, *sorted(folders)]))
 
 
 def inside(folder: str | Path, relative: str | Path) -> Path:

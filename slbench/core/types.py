@@ -50,6 +50,7 @@ __all__ = [
     "TiltDegrees",
     "Vector",
     "Vibration",
+    "Word",
     "Words",
 ]
 
@@ -125,6 +126,9 @@ Axes = Literal["u", "v", "uv", "vu"]
 
 #: Bits of a panel's grey levels.
 PanelBits = Annotated[int, Interval(ge=1, le=16)]
+
+#: A name or a short text.
+Word = Annotated[str, MinLen(1), MaxLen(200)]
 
 Pair = tuple[Finite, Finite]
 #: OpenCV's k1, k2, p1, p2, k3.

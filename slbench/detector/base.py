@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.registry import Registry
+from slbench.core.types import BitDepth
 from slbench.core.validation import shown, validated
 from slbench.patterns import NoiseModel
 
@@ -32,7 +33,7 @@ class DetectorModel(ABC):
         Bits of a digital number; frames are uint8 for 8, else uint16.
     """
 
-    bit_depth: int
+    bit_depth: BitDepth
 
     @property
     @abstractmethod

@@ -6,13 +6,14 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.errors import InputError
+from slbench.core.types import Finite, NotNegative
+from slbench.core.values import Value
 
 FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class NoiseModel:
+class NoiseModel(Value):
     """Variance of a pixel as a linear function of its mean value (EMVA 1288, sec. 2.4).
 
     ``variance = read_dn^2 + gain_dn_per_e max(I - offset_dn, 0) + step_dn^2 / 12``.  The
@@ -35,18 +36,10 @@ class NoiseModel:
         For values that are negative (the offset may be) or not finite.
     """
 
-    read_dn: float = 0.0
-    gain_dn_per_e: float = 0.0
-    offset_dn: float = 0.0
-    step_dn: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in ("read_dn", "gain_dn_per_e", "step_dn"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0.0):
-                raise InputError(f"NoiseModel: {name}", "a number >= 0", value)
-        if not np.isfinite(self.offset_dn):
-            raise InputError("NoiseModel: offset_dn", "a finite number", self.offset_dn)
+    read_dn: NotNegative = 0.0
+    gain_dn_per_e: NotNegative = 0.0
+    offset_dn: Finite = 0.0
+    step_dn: NotNegative = 1.0
 
     @overload
     def variance(self, dn: float) -> float: ...

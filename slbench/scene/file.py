@@ -23,9 +23,10 @@ from scipy.spatial.transform import Rotation
 
 from slbench import objects
 from slbench.core import resources
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
+from slbench.core.registry import quoted
 from slbench.core.validation import validated
 from slbench.detector.base import DEFAULT as DEFAULT_DETECTOR
 from slbench.detector.base import detector_of
@@ -99,12 +100,8 @@ def _load(
 ) -> tuple[Scene, SceneTables]:
     content = read_merged(path, allow_modules)
     file = validated(SceneTables, content, path.name, separator=": ")
-    try:
+    with located(path.name):
         return _build(file, path, content, build_objects(file, path)), file
-    except InputError as error:
-        if error.where.startswith(path.name):
-            raise
-        raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
 
 
 def read_merged(
@@ -277,5 +274,5 @@ def _material(own: Mapping[str, Material], name: str, where: str) -> Material:
     """Return a material of the scene's own or a preset; the scene's own come first."""
     if name in own or name in PRESETS:
         return own[name] if name in own else PRESETS[name]
-    known = ", ".join((*own, *PRESETS))
-    raise InputError(where, f"one of the materials {known}", name)
+    known = [*own, *PRESETS]
+    raise InputError(where, f"one of the materials {', '.join(known)}", quoted(name, known))

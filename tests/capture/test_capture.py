@@ -306,9 +306,6 @@ def test_a_manifest_names_devices_that_its_rig_has(tmp_path):
     manifest.write_text('camera = "top"\n' + manifest.read_text())
     with pytest.raises(InputError, match=r"capture.toml.*camera-projector.*top-projector"):
         Capture.load(tmp_path)
-    manifest.write_text(manifest.read_text().replace('"top"', "3", 1))
-    with pytest.raises(InputError, match=r"capture.toml: camera.*name of a device"):
-        Capture.load(tmp_path)
 
 
 @pytest.mark.parametrize("bit_depth", [8, 10, 12, 14, 16])
@@ -403,36 +400,20 @@ def test_photographs_with_a_plain_opencv_rig(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"frames": None}, "frames: expected this key"),
-        ({"patterns": None}, "patterns: expected this key"),
-        ({"colour": 1}, "colour: expected one of"),
-        ({"format": 2}, "format: expected 1, got 2"),
-        ({"frames": []}, "frames: expected a list of image files"),
-        ({"frames": "a.png"}, "frames: expected a list of image files"),
-        ({"frames": [1, 2]}, "frames: expected a list of image files"),
         ({"frames": ["DSC_4711.PNG"]}, "8, as many as patterns"),
         ({"frames": ["gone.png"] * 8}, "gone.png: expected a file"),
         ({"frames": ["../a.png"] * 8}, "which leaves it"),
         ({"frames": ["/etc/passwd"] * 8}, "a relative path inside"),
         ({"rig": "../rig.yaml"}, "which leaves it"),
         ({"rig": "gone.yaml"}, "gone.yaml: expected a file"),
-        ({"rig": 3}, "3: expected a file"),
-        ({"bit_depth": 9}, "bit_depth"),
         ({"bit_depth": 12}, "12 bit frames"),
-        ({"bit_depth": "8"}, "bit_depth"),
-        ({"exposure_ms": "10"}, "exposure_ms: expected a number"),
-        ({"noise": {"read": 1.0}}, "noise: expected a table with"),
-        ({"noise": {"read_dn": "1"}}, "noise.read_dn: expected a number"),
-        ({"noise": {"read_dn": -1.0}}, "read_dn"),
         ({"patterns": {"panel": [256, 192]}}, "patterns.parts"),
         ({"patterns": {"panel": [256, 192], "parts": [{"kind": "sine"}]}}, "parts[0].kind"),
-        ({"patterns": 3}, "patterns: expected a table"),
     ],
 )
 def test_manifests_that_cannot_be_used_name_the_key(change, said, tmp_path):
     photographs(tmp_path)
     manifest = read_toml(tmp_path / "capture.toml") | change
-    manifest = {key: value for key, value in manifest.items() if value is not None}
     (tmp_path / "capture.toml").write_text(tomli_w.dumps(manifest))
     with pytest.raises(InputError) as caught:
         Capture.load(tmp_path)

@@ -17,6 +17,8 @@ from helpers.refusals import required, tables
 import slbench
 from slbench.bench.claims import baseline, file
 from slbench.calibration.models import model as calibration
+from slbench.capture.capture import CaptureTable
+from slbench.capture.stack import _stack_table
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
@@ -25,7 +27,9 @@ from slbench.core.wording import _base, _fields
 from slbench.datasets.spec.distributions import Distribution
 from slbench.datasets.spec.specification import Specification
 from slbench.design.rig import hardware
+from slbench.detector.emva1288 import Detector
 from slbench.objects import artefacts, loading
+from slbench.scene.bsdfs import bsdfs
 from slbench.scene.file import read_merged
 from slbench.scene.tables import SceneTables
 
@@ -40,7 +44,7 @@ COORDINATE = {
 }
 
 #: A model of each kind of file, and a file that it takes.
-FILES: list[tuple[type[Parameters], Mapping[str, Any]]] = [
+FILES: list[tuple[type, Mapping[str, Any]]] = [
     (
         SceneTables,
         SCENE | {"focus": {"settings": 3}, "materials": {"white": {}}, "detector": {"seed": 1}},
@@ -50,6 +54,12 @@ FILES: list[tuple[type[Parameters], Mapping[str, Any]]] = [
         {k: v for k, v in SCENE.items() if k != "rig"}
         | {"rig": {d: {"position_mm": [0.0, 10.0, 500.0]} for d in ("camera", "projector")}},
     ),
+    (
+        CaptureTable,
+        {"frames": ["000.png"], "patterns": {"panel": [64, 48]}, "noise": {"read_dn": 0.2}},
+    ),
+    (_stack_table(()), {"captures": ["focus000", "focus001"], "camera_mm": [100.0, 200.0]}),
+    (Detector, {"full_well_e": 9000.0}),
     (Specification, read_toml(resources.find("scenes", "datasets/mixed"))),
     (Distribution, {"uniform": [0.5, 0.9], "name": "level"}),
     (hardware._HardwareFile, read_merged(resources.find("scenes", "hardware/macro-ch6"))),
@@ -78,6 +88,7 @@ FILES: list[tuple[type[Parameters], Mapping[str, Any]]] = [
         },
     ),
     (loading._ArtefactFile, OBJECTS["sphere"]),
+    *((bsdfs.get(name), {}) for name in bsdfs),
     *((artefacts.get(t["kind"]).parameters, t["parameters"]) for t in OBJECTS.values()),
 ]
 #: Models of which no file stands alone: parts of the above, or looked into by a parent.

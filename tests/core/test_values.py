@@ -10,18 +10,22 @@ import pytest
 from helpers.refusals import wrong_values
 
 import slbench
+from slbench.capture.capture import Capture, CaptureTable
+from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
 from slbench.core.types import Percentile, Samples
 from slbench.core.values import checked
+from slbench.design.rig.hardware import load_hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import load_artefact
-from slbench.patterns import PatternSequence
+from slbench.patterns import NoiseModel, PatternSequence
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 
 LENS = Lens(16.0, 1.0, 100.0)
 CAMERA = Camera(64, 48, (0.01, 0.01), LENS)
 PROJECTOR = Projector(64, 48, (0.01, 0.01), LENS)
+SEQUENCE = PatternSequence.parse("1", (64, 48))
 OBJECT = SceneObject(load_artefact("plane"))
 
 #: One of each class of values.
@@ -32,10 +36,15 @@ VALUES = [
     PROJECTOR,
     DesignVariables(100.0, 50.0, 0.0, 5.0, 0.1, 0.0),
     Detector(),
+    NoiseModel(),
+    Focus({"camera": (100.0,), "projector": (200.0,)}),
+    CaptureTable(frames=("000.png",), patterns={}),
+    Capture(np.zeros((3, 48, 64), np.uint8), SEQUENCE),
+    load_hardware("hardware/macro-ch6"),
     Exposure(),
     Light(),
     OBJECT,
-    Scene("plain", Rig(CAMERA, PROJECTOR), (OBJECT,), PatternSequence.parse("1", (64, 48))),
+    Scene("plain", Rig(CAMERA, PROJECTOR), (OBJECT,), SEQUENCE),
 ]
 
 

@@ -1,5 +1,6 @@
 """Inputs that must be refused, derived from the types that a value or a file is declared with."""
 
+import dataclasses
 import itertools
 from collections.abc import Iterator, Mapping
 from typing import Any, Literal, get_args, get_origin
@@ -87,6 +88,10 @@ def required(model: Any) -> Iterator[str]:
     for key, field in getattr(model, "model_fields", {}).items():
         if field.is_required():
             yield key
+    if dataclasses.is_dataclass(model):
+        for field in dataclasses.fields(model):
+            if field.default is field.default_factory is dataclasses.MISSING:
+                yield field.name
 
 
 def _nested(base: Any, good: Any) -> Iterator[tuple[str, Any]]:

@@ -32,9 +32,11 @@ from slbench.bench.claims.quantities import SPEED_FIELDS, family, pattern_set, u
 from slbench.bench.claims.verdicts import least_repeats
 from slbench.core import resources
 from slbench.core.display import brief
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
+from slbench.core.registry import quoted
+from slbench.core.types import Axes, Confidence, Samples, Shifts, Word
 from slbench.core.validation import Parameters, shown, validated
 
 Array = NDArray[np.float64]
@@ -50,31 +52,29 @@ _MOST = 10_000
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _TIMES = re.compile(rf"\s*(?:({_NUMBER})\s*\*)?\s*([a-z].*?)\s*", re.DOTALL)
 
-_Word = Annotated[str, Field(min_length=1, max_length=200)]
-
 
 class _Settings(Parameters):
     """How a scene is measured; what is not given is as the scene has it."""
 
-    scene: _Word | None = None
-    patterns: _Word | None = None
-    shifts: Annotated[int, Field(ge=3, le=1000)] | None = None
-    axes: Literal["u", "v", "uv", "vu"] | None = None
-    samples: Annotated[int, Field(ge=1, le=65536)] | None = None
+    scene: Word | None = None
+    patterns: Word | None = None
+    shifts: Shifts | None = None
+    axes: Axes | None = None
+    samples: Samples | None = None
     preview: bool | None = None
     noise: bool | None = None
 
 
 class _Claim(_Settings):
-    name: _Word
-    scene: _Word
-    quantity: _Word
+    name: Word
+    scene: Word
+    quantity: Word
     # Numbers or text: read by _limit.
     max: Any = None
     min: Any = None
     within: tuple[Any, Any] | None = None
     versus: dict[str, Any] | None = None
-    confidence: Annotated[float, Field(ge=0.5, le=0.9999)] = 0.95
+    confidence: Confidence = 0.95
     repeats: Annotated[int, Field(ge=2, le=_MOST)] | None = None
     each: Any = False
     scans: Annotated[int, Field(ge=2, le=_MOST)] | None = None
@@ -242,12 +242,8 @@ def load_claims(
             if isinstance(given, str)
             else f"{path.name}: claim[{k}]"
         )
-        try:
+        with located(where):
             claim = _claim(validated(_Claim, table, where, separator=": "), where, path.parent)
-        except InputError as error:
-            if error.where.startswith(where):
-                raise
-            raise InputError(f"{where}: {error.where}", error.expected, error.got) from None
         if any(claim.name == other.name for other in claims):
             raise InputError(f"{where}: name", "a name that no other claim has", repr(claim.name))
         claims.append(_previewed(claim) if preview else claim)
@@ -399,17 +395,18 @@ def _settings(table: _Settings, base: Settings, folder: Path, where: str = "") -
 
 def _scene(text: str, where: str, folder: Path) -> Path:
     """Return the file of a scene: inside the claims file's folder, else a shipped one."""
+    # The shipped scenes stand in a folder of that name.
+    name = text.removeprefix("scenes/").removesuffix(".toml")
+    shipped = resources.names("scenes")
     try:
         beside = resources.inside(folder, text)
         if beside.is_file():
             return beside
-        # The shipped scenes stand in a folder of that name.
-        name = text.removeprefix("scenes/").removesuffix(".toml")
-        if name in resources.names("scenes"):
-            return resources.find("scenes", name)
-    except (InputError, OSError) as error:
-        if isinstance(error, InputError):
-            raise InputError(where, error.expected, error.got) from None
-    known = ", ".join(resources.names("scenes"))
-    expected = f"a scene file inside the claims file's folder, or one of {known}"
-    raise InputError(where, expected, shown(text))
+    except InputError as error:
+        raise InputError(where, error.expected, error.got) from None
+    except OSError:  # a name too long for the file system
+        pass
+    if name in shipped:
+        return resources.find("scenes", name)
+    expected = f"a scene file inside the claims file's folder, or one of {', '.join(shipped)}"
+    raise InputError(where, expected, quoted(name, shipped))

@@ -36,7 +36,7 @@ from slbench.bench.compare.compare import NothingToCompare, compare, own_shifts
 from slbench.bench.compare.comparison import SetResult
 from slbench.bench.compare.sets import pattern_sets
 from slbench.core import resources
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 from slbench.core.io import plain
 from slbench.core.random import tagged_seed
 from slbench.objects.registry import artefacts
@@ -91,15 +91,13 @@ class Pools:
             Naming the claim.
         """
         where = f'claim "{claim.name}"'
-        try:
+        with located(where):
             for settings in {claim.settings, claim.versus}:
                 self.scene(settings)
             if claim.family == "set":
                 scene = self.scene(claim.settings)
                 shifts = claim.settings.shifts or own_shifts(scene)
                 pattern_sets(claim.sets, scene, shifts=shifts, equal=claim.equal)
-        except InputError as error:
-            raise InputError(f"{where}: {error.where}", error.expected, error.got) from None
         for quantity in claim.quantities if claim.family == "set" else ():
             check_set(quantity, self.scene(claim.settings), f"{where}: quantity")
         if claim.family == "score":

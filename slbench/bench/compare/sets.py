@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 from slbench.core.random import tagged_seed
 from slbench.patterns import Axis, PatternSequence
 from slbench.scene.model import Scene
@@ -113,11 +113,9 @@ def pattern_sets(
             raise InputError("sets", "every set once", f"{name} twice")
         axes = "".join(scene.sequence.axes) or "u"
         sequence = PatternSequence.parse(name, scene.sequence.panel, shifts, axes)
-        try:
+        with located(f"set {name}"):
             # A sequence that cannot be unwrapped is refused before any light is traced.
             sequence.runs()
-        except InputError as error:
-            raise InputError(f"set {name}: {error.where}", error.expected, error.got) from None
         sets.append(PatternSet(name, sequence))
     if equal == "frames":
         longest = max(one.frames for one in sets)

@@ -21,12 +21,11 @@ from pydantic import Field, model_validator
 from scipy.special import ndtr, ndtri
 
 from slbench.core.random import generator
-from slbench.core.validation import Finite, Parameters, validated
+from slbench.core.types import Finite, NotNegative, Positive, Words
+from slbench.core.validation import Parameters, validated
 
-Positive = Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)]
 #: What a column of whole numbers holds.
-Whole = Annotated[int, Field(strict=True, ge=-(2**63), lt=2**63)]
+Whole = Annotated[int, Field(ge=-(2**63), lt=2**63), Words("a whole number of 64 bits")]
 
 _WAYS = ("uniform", "log_uniform", "normal", "choice", "integers")
 _AXES = {"position_mm": "{}_mm", "rotation_deg": "rotation_{}_deg"}

@@ -49,6 +49,8 @@ from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import plain, read_toml
 from slbench.core.modules import load_modules
+from slbench.core.registry import quoted
+from slbench.core.types import Share, Shifts
 from slbench.core.validation import Parameters, shown, validated
 from slbench.datasets.spec.distributions import (
     Distribution,
@@ -67,7 +69,6 @@ from slbench.objects.registry import artefacts
 from slbench.scene.file import extended
 
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 #: Keys of a drawn object that are not those of an object in a scene.
 _OWN = ("name", "weight")
@@ -80,7 +81,7 @@ class Patterns(Parameters):
     """A pattern sequence whose frames are rendered `repeats` times."""
 
     sequence: str
-    shifts: Annotated[int, Field(ge=3)] = 3
+    shifts: Shifts = 3
     axes: Literal["u", "v", "uv"] = "u"
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
 
@@ -98,7 +99,7 @@ class Constraints(Parameters):
     """
 
     inside_volume: bool = False
-    min_lit_share: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    min_lit_share: Share = 0.0
     max_draws: Annotated[int, Field(ge=1, le=10_000)] = 100
 
 
@@ -307,10 +308,10 @@ def _find(name_or_path: str | Path) -> Path:
         return Path(name_or_path)
     try:
         return resources.find("scenes", f"{_SHIPPED}/{name_or_path}")
-    except InputError as error:
-        known = ", ".join(shipped())
-        expected = f"a path to a file or one of {known}"
-        raise InputError("specification", expected, repr(str(name_or_path))) from error
+    except InputError:
+        known = shipped()
+        expected = f"a path to a file or one of {', '.join(known)}"
+        raise InputError("specification", expected, quoted(str(name_or_path), known)) from None
 
 
 def shipped() -> list[str]:
@@ -346,7 +347,9 @@ def _object(
         for key in parameters:
             if key not in known:
                 at = f"{path.name}: {where}.parameters"
-                raise InputError(at, f"one of the keys {', '.join(known)}", repr(key))
+                raise InputError(
+                    at, f"one of the keys {', '.join(known)}", quoted(key, list(known))
+                )
     return {"name": name, "weight": weight, **complete}
 
 

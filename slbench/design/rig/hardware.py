@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,9 +21,11 @@ from pydantic import Field
 
 from slbench.core import resources
 from slbench.core.display import brief
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 from slbench.core.io import read_table
-from slbench.core.validation import Finite, Parameters, validated
+from slbench.core.types import Finite, Pair, Positive, Size
+from slbench.core.validation import Parameters, validated
+from slbench.core.values import Value
 from slbench.detector.base import DetectorModel, detector_of
 from slbench.detector.emva1288 import Detector
 from slbench.rig import (
@@ -84,7 +86,7 @@ class Placement:
 
 
 @dataclass(frozen=True)
-class Hardware:
+class Hardware(Value):
     """Hardware to design a rig from (thesis tables 2 and 3).
 
     Parameters
@@ -111,24 +113,25 @@ class Hardware:
 
     camera: Camera
     projector: Projector
-    camera_distance_mm: tuple[float, float]
-    projector_distance_mm: tuple[float, float]
-    lower: tuple[float, float, float, float, float, float]
-    upper: tuple[float, float, float, float, float, float]
-    volume_mm: tuple[float, float, float] = (60.0, 70.0, 30.0)
-    coded_axes: int = 1
-    circle_px: float = 1.0
+    camera_distance_mm: tuple[Positive, Positive]
+    projector_distance_mm: tuple[Positive, Positive]
+    lower: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+    upper: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+    volume_mm: Size = (60.0, 70.0, 30.0)
+    coded_axes: Literal[1, 2] = 1
+    circle_px: Positive = 1.0
     refocused: tuple[bool, bool] = (True, True)
     detector: DetectorModel = field(default_factory=Detector)
 
     __repr__ = brief
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         for name in ("camera", "projector"):
             near, far = getattr(self, f"{name}_distance_mm")
-            if not 0 < near < far < np.inf:
+            if not near < far:
                 raise InputError(
-                    f"{name} working distance", "0 < shortest < longest (mm)", f"{near}, {far}"
+                    f"{name} working distance", "shortest < longest (mm)", f"{near}, {far}"
                 )
             device: Device = getattr(self, name)
             if device.body_mm is None:
@@ -142,21 +145,13 @@ class Hardware:
                 )
             if not refocused and not np.isfinite(device.lens.focus_distance_mm):
                 raise InputError(f"{name} focus_distance_mm", "a finite distance", "infinity")
-        if len(self.lower) != 6 or len(self.upper) != 6:
-            raise InputError("design ranges", "six pairs", f"{len(self.lower)}, {len(self.upper)}")
         for name, low, high in zip(VARIABLES, self.lower, self.upper, strict=True):
-            if not -np.inf < low <= high < np.inf:
-                raise InputError(f"range of {name}", "lowest <= highest, finite", f"{low}, {high}")
+            if not low <= high:
+                raise InputError(f"range of {name}", "lowest <= highest", f"{low}, {high}")
             if name.endswith("deg") and max(abs(low), abs(high)) > np.pi / 2 + 1e-9:
                 raise InputError(f"range of {name}", "angles within 90 deg", f"{low}, {high} rad")
         if self.lower[0] <= 0:
             raise InputError("range of z_ref_mm", "positive distances", self.lower[0])
-        if len(self.volume_mm) != 3 or not all(0 < size < np.inf for size in self.volume_mm):
-            raise InputError("measurement volume", "three positive lengths (mm)", self.volume_mm)
-        if self.coded_axes not in (1, 2):
-            raise InputError("coded axes", "1 or 2", self.coded_axes)
-        if not 0 < self.circle_px < np.inf:
-            raise InputError("circle of confusion", "a positive number of pixels", self.circle_px)
 
     @property
     def volume_corners(self) -> Array:
@@ -288,25 +283,21 @@ def read_configurations(path: str | Path) -> Array:
     return result
 
 
-Range = tuple[Finite, Finite]
-Distance = Annotated[float, Field(strict=True, gt=0, allow_inf_nan=False)]
-
-
 class _Design(Parameters):
-    camera_working_distance_mm: tuple[Distance, Distance]
-    projector_working_distance_mm: tuple[Distance, Distance]
-    z_ref_mm: Range
-    w_mm: Range
-    h_mm: Range
-    l_mm: Range
-    alpha_p_deg: Range
-    beta_p_deg: Range
-    coded_axes: int = 1
-    circle_of_confusion_px: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    camera_working_distance_mm: tuple[Positive, Positive]
+    projector_working_distance_mm: tuple[Positive, Positive]
+    z_ref_mm: Pair
+    w_mm: Pair
+    h_mm: Pair
+    l_mm: Pair
+    alpha_p_deg: Pair
+    beta_p_deg: Pair
+    coded_axes: Literal[1, 2] = 1
+    circle_of_confusion_px: Positive = 1.0
 
 
 class _Volume(Parameters):
-    volume_mm: tuple[Distance, Distance, Distance]
+    volume_mm: Size
 
 
 class _HardwareFile(Parameters):
@@ -357,7 +348,7 @@ def load_hardware(name_or_path: str | Path, *, allow_modules: bool = False) -> H
     ranges = np.array([getattr(design, name) for name in VARIABLES])
     ranges[4:] = np.deg2rad(ranges[4:])
     cameras, projectors = design.camera_working_distance_mm, design.projector_working_distance_mm
-    try:
+    with located(path.name):
         # A lens focused on the origin gets its true distance once it has a place.
         camera = Camera(**file.camera.arguments(max(cameras)))
         projector = Projector(**file.projector.arguments(max(projectors)))
@@ -375,8 +366,6 @@ def load_hardware(name_or_path: str | Path, *, allow_modules: bool = False) -> H
             (file.camera.focus_distance_mm is None, file.projector.focus_distance_mm is None),
             detector_of(file.detector, f"{path.name}: detector"),
         )
-    except InputError as error:
-        raise InputError(f"{path.name}: {error.where}", error.expected, error.got) from None
 
 
 def thesis_configurations(hardware: Hardware) -> Array | None:

@@ -24,8 +24,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.errors import InputError
 from slbench.core.random import derived_seed
+from slbench.core.types import Samples, Seed
+from slbench.core.values import checked
 from slbench.scene.model import Scene
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.optics import PanelOptics, opaque, opaque_transform
@@ -38,12 +39,13 @@ _LANES_PER_PASS = 1 << 23
 Axes = tuple[Literal["u", "v", "uv"], ...]
 
 
+@checked
 def trace(
     scene: Scene,
     marginals: Axes | None = None,
     *,
-    samples: int | None = None,
-    seed: int = 0,
+    samples: Samples | None = None,
+    seed: Seed = 0,
     on_progress: Callable[[float], None] | None = None,
 ) -> LightTransport:
     """Trace the light transport of a scene.
@@ -73,10 +75,6 @@ def trace(
     """
     chosen: Axes = marginals or scene.sequence.variations
     count = scene.samples if samples is None else samples
-    if not 1 <= count <= 65536:
-        raise InputError("samples", "1 to 65536", count)
-    if seed < 0:
-        raise InputError("seed", "a whole number >= 0", seed)
     tracer = _Tracer(scene, chosen, count, seed)
     camera, projector = scene.rig.camera, scene.rig.projector
     # Pixels that strong distortion folds away see nothing.
@@ -103,9 +101,6 @@ class _Tracer:
     """The kernel and its buffers."""
 
     def __init__(self, scene: Scene, marginals: Axes, samples: int, seed: int) -> None:
-        for name in marginals:
-            if name not in ("u", "v", "uv"):
-                raise InputError("marginals", "u, v or uv", name)
         rig = scene.rig
         self.marginals = marginals
         self.seed = seed
