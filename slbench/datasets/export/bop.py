@@ -34,6 +34,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
@@ -243,9 +244,8 @@ def box(mask: NDArray[np.bool_], corner: tuple[int, int] = (0, 0)) -> list[int]:
     """
     if not mask.any():
         return list(_NOTHING)
-    columns, rows = np.flatnonzero(mask.any(axis=0)), np.flatnonzero(mask.any(axis=1))
-    left, top = int(columns[0]), int(rows[0])
-    return [left - corner[0], top - corner[1], int(columns[-1]) - left, int(rows[-1]) - top]
+    left, top, width, height = cv2.boundingRect(mask.astype(np.uint8))
+    return [left - corner[0], top - corner[1], width - 1, height - 1]
 
 
 def diameter(points: NDArray[np.float64]) -> float:
