@@ -141,11 +141,10 @@ def validated(model: type[R], values: object, where: str, separator: str = ".") 
     """
     if not isinstance(values, Mapping):
         raise InputError(where, described(model), shown(values))
-    values = _tuples(values)
     checked_against: Any = model
     adapter = _adapter(checked_against)
     try:
-        return adapter.validate_python(values)
+        return adapter.validate_python(_tuples(values))
     except ValueError as error:  # pydantic's, which is imported by now
         raise first_error(error, model, values, where, separator) from None  # type: ignore[arg-type]
 

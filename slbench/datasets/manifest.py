@@ -106,8 +106,9 @@ class Manifest:
             If there is none, it is damaged, or of another version; names the key at fault.
         """
         where = storage.where(MANIFEST)
+        content = storage.read(MANIFEST)
         try:
-            values = json.loads(storage.read(MANIFEST))
+            values = json.loads(content)
         except ValueError as error:
             raise InputError(where, "a JSON file", error) from None
         found = values.get("format") if isinstance(values, dict) else None

@@ -41,9 +41,10 @@ class Storage:
 
     @property
     def _filesystem(self) -> Any:
+        fsspec = extra("fsspec.core")
         try:
             # fsspec keeps one instance a protocol and set of options.
-            return extra("fsspec.core").url_to_fs(self.url)[0]
+            return fsspec.url_to_fs(self.url)[0]
         except (ValueError, ImportError, OSError) as error:
             raise InputError(self.url, "a folder or a URL that fsspec can reach", error) from error
 
