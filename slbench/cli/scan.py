@@ -21,6 +21,7 @@ from slbench.cli.common import (
 )
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.types import MAX_SAMPLES
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -41,7 +42,7 @@ def scan(
     ] = None,
     axes: Annotated[Literal["u", "v", "uv"] | None, typer.Option(help="Coded panel axes.")] = None,
     spp: Annotated[
-        int | None, typer.Option(min=1, max=65536, help="Monte Carlo samples a pixel.")
+        int | None, typer.Option(min=1, max=MAX_SAMPLES, help="Monte Carlo samples a pixel.")
     ] = None,
     seed: Seed = 0,
     noise: Annotated[

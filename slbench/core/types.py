@@ -15,6 +15,7 @@ from annotated_types import Ge, Gt, Interval, Le, Lt, MaxLen, MinLen
 
 __all__ = [
     "FINITE",
+    "MAX_SAMPLES",
     "Angle",
     "Aperture",
     "Axes",
@@ -111,7 +112,8 @@ Count = Annotated[int, Ge(1)]
 #: Pixels along a side.
 Pixels = Annotated[int, Ge(1)]
 #: Monte Carlo samples a pixel.
-Samples = Annotated[int, Interval(ge=1, le=65536)]
+MAX_SAMPLES = 65536
+Samples = Annotated[int, Interval(ge=1, le=MAX_SAMPLES)]
 #: Interreflections followed after the direct light.
 Bounces = Annotated[int, Interval(ge=0, le=16)]
 #: Phase shifts of a set of fringes.

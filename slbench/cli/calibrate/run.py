@@ -22,6 +22,7 @@ from slbench.cli.common import (
 )
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.types import MAX_SAMPLES
 
 #: Heights and shifts of a preview.  The methods are compared on every other height: seven leave
 #: four to fit to, as many as a cubic in the height needs.
@@ -51,7 +52,7 @@ def run(
         int | None, typer.Option(min=1, help="Camera pixels put together, to be quicker.")
     ] = None,
     spp: Annotated[
-        int | None, typer.Option(min=1, max=65536, help="Monte Carlo samples a pixel.")
+        int | None, typer.Option(min=1, max=MAX_SAMPLES, help="Monte Carlo samples a pixel.")
     ] = None,
     models: Annotated[
         str | None,

@@ -10,6 +10,7 @@ import typer
 from slbench.cli.common import AllowModules, Json, Seed, check_folder, print_json, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
+from slbench.core.types import MAX_SAMPLES
 
 
 @command("slbench design verify hardware/macro-ch6 scenes/hardware/table4.csv")
@@ -21,7 +22,7 @@ def verify(
     count: Annotated[int, typer.Option(min=3, help="How many rigs to draw.")] = 24,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/verify"),
     patterns: Annotated[str, typer.Option(help="Fringes of three shifts.")] = "1,5",
-    spp: Annotated[int, typer.Option(min=1, max=65536, help="Samples a pixel.")] = 16,
+    spp: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="Samples a pixel.")] = 16,
     seed: Seed = 0,
     allow_modules: AllowModules = False,
     as_json: Json = False,
