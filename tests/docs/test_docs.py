@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -151,6 +152,20 @@ def test_commands_and_their_options_exist(path):
             parse(line)
         except ValueError as error:
             pytest.fail(f"{path.name}: {line}: {error}")
+
+
+def test_the_command_line_reference_is_current():
+    name, _, version = next(
+        line.partition("==")
+        for line in text_of(ROOT / "constraints.txt").splitlines()
+        if line.startswith("typer==")
+    )
+    if metadata.version(name) != version:
+        pytest.skip(f"the page is written with {name} {version}, which words its types itself")
+    specification = importlib.util.spec_from_file_location("cli_page", DOCS / "generate_cli.py")
+    generator = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(generator)
+    assert text_of(generator.PAGE) == generator.page(), "run python docs/generate_cli.py"
 
 
 def test_the_parser_of_commands_sees_mistakes():
