@@ -236,7 +236,7 @@ class Capture(Value):
             pair = Pair(table.camera, table.projector)
             rig = None
             if table.rig is not None:
-                rig = read_rig(resources.inside(path.parent, table.rig)).pair(pair)
+                rig = read_rig(resources.inside(path.parent, table.rig), pair).pair(pair)
             return cls(
                 frames,
                 sequence,

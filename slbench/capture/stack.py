@@ -63,18 +63,24 @@ class FusedCapture:
     ----------
     capture : Capture
         16-bit frames, one a pattern; its noise model is that of a single frame.
-    weights : FusionWeights
+    weights : FusionWeights or None
+        None for a single picture, which is as it was taken.
     """
 
     capture: Capture
-    weights: FusionWeights
+    weights: FusionWeights | None = None
+
+    @property
+    def noise_gain(self) -> Array | float:
+        """Deviation of the fused frames over that of single ones, (V, U), or 1."""
+        return 1.0 if self.weights is None else self.weights.noise_gain
 
     __repr__ = brief
 
     def decode(self, **options: Any) -> PhaseMap:
         """Decode the fused frames; deviations are lessened by what the average gains."""
         phase = self.capture.decode(**options)
-        gain = self.weights.noise_gain
+        gain = self.noise_gain
         return replace(phase, sigma={axis: gain * sigma for axis, sigma in phase.sigma.items()})
 
     def save(self, folder: str | Path) -> None:
@@ -184,7 +190,9 @@ class FocusStack:
         return modulation_weights(self, **options)
 
     def fuse(self, source: WeightSource = "lit", **options: Any) -> FusedCapture:
-        """Fuse every pattern with the weights of :meth:`weights`."""
+        """Fuse every pattern with the weights of :meth:`weights`; a single picture is kept."""
+        if self.focus is None and len(self) == 1:
+            return FusedCapture(self.captures[0])
         return self.fuse_with(self.weights(source, **options))
 
     def fuse_by(self, method: FusionMethod) -> FusedCapture:

@@ -26,6 +26,8 @@ from slbench.core.types import MAX_SAMPLES
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from slbench.simulate.scan import Scan, ScanScores
+
 
 @command("slbench scan step-block --patterns 1,10,50 --steps 3 --out out/block")
 def scan(
@@ -49,6 +51,15 @@ def scan(
         bool, typer.Option("--noise/--no-noise", help="Detector noise; rounding stays.")
     ] = True,
     weights: Weights = "lit",
+    score: Annotated[
+        bool,
+        typer.Option(
+            "--score/--no-score", help="Score the points; takes longer than the scan itself."
+        ),
+    ] = True,
+    picture: Annotated[
+        bool, typer.Option("--picture/--no-picture", help="Draw summary.png.")
+    ] = True,
     page: Annotated[
         Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
     ] = None,
@@ -84,9 +95,10 @@ def scan(
             noise=noise,
             samples=spp,
             weights=weights,
+            score=score,
             on_progress=report,
         )
-        write_scan(result, folder)
+        write_scan(result, folder, picture=picture)
         if page is not None:
             write_page(scan_page(result), page)
     if as_json:
@@ -94,22 +106,32 @@ def scan(
         print_json(result.to_dict() | written)
     else:
         print_table(_scan_table(result))
-        print(f"Written to {folder}: open {page or folder / 'summary.png'}")
+        shown = page or (folder / "summary.png" if picture else None)
+        print(f"Written to {folder}" + (f": open {shown}" if shown else ""))
 
 
-def _scan_table(result: Any) -> Table:
+def _scan_table(result: Scan) -> Table:
     """Lay a scan's score out for people."""
     from rich.table import Table
 
     from slbench.report.pages.scan import seconds
 
-    score = result.score
     table = Table(title=f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}")
     table.add_column("quantity")
     table.add_column("value", justify="right")
-    um = 1e3
     rows = result.rows()
-    rows += [
+    if result.scores is not None:
+        rows += _feature_rows(result.scores)
+    rows.append(("seconds", seconds(result)))
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _feature_rows(scores: ScanScores) -> list[tuple[str, str]]:
+    """Return features and fusion of a scored scan, (quantity, value)."""
+    score, um = scores.points, 1e3
+    rows = [
         (
             f"step {step.nominal_mm:g} mm",
             f"{step.measured_mm:.4f} mm, error {um * (step.measured_mm - step.nominal_mm):+.2f} µm",
@@ -130,8 +152,8 @@ def _scan_table(result: Any) -> Table:
         (f"spacing {s.nominal_mm:g} mm", f"{s.measured_mm:.4f} mm, {s.name}")
         for s in score.spacings
     ]
-    if result.fusion is not None:
-        fusion = result.fusion
+    fusion = scores.fusion
+    if fusion is not None:
         rows += [
             (
                 f"phase of {fusion.finest} fringes, {place} the depth of field",
@@ -142,7 +164,4 @@ def _scan_table(result: Any) -> Table:
                 ("outside", fusion.fused_outside, fusion.middle_outside),
             )
         ]
-    rows.append(("seconds", seconds(result)))
-    for row in rows:
-        table.add_row(*row)
-    return table
+    return rows

@@ -41,6 +41,15 @@ def derived_seed(seed: int, *words: int) -> int:
     return int(np.random.SeedSequence([seed, *words]).generate_state(1)[0])
 
 
+def setting_seed(seed: int, setting: int | None) -> int:
+    """Return the seed of the frames of one focus setting; of a single picture for none.
+
+    A setting has noise of its own, whatever the seeds of other scans; a single picture has the
+    scan's seed.
+    """
+    return seed if setting is None else derived_seed(seed, setting)
+
+
 def tagged_seed(seed: int, *tags: int) -> int:
     """Return a seed of its own for each run of tags, so that no two random streams are shared.
 

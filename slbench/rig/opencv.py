@@ -24,7 +24,7 @@ from slbench.core.io import read_opencv_yaml, write_opencv_yaml
 from slbench.rig.device import Camera, Projector
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose
-from slbench.rig.rig import Pair, Rig
+from slbench.rig.rig import ALONE, Pair, Rig
 
 #: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel
 #: depend on it; rays do not.
@@ -189,8 +189,14 @@ def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
     }
 
 
-def read_rig(path: str | Path) -> Rig:
+def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
     """Read a rig from OpenCV YAML, ours or any calibration with the keys above.
+
+    Parameters
+    ----------
+    path : path
+    names : Pair
+        Of devices that the file does not name.
 
     Raises
     ------
@@ -214,6 +220,11 @@ def read_rig(path: str | Path) -> Rig:
         camera = Camera(**camera_arguments, pose=camera_pose)
     with _blaming_the_file(path, "projector"):
         projector = Projector(**projector_arguments, pose=projector_pose)
-        names = [str(values.values.get(f"name_{role}", role)) for role in Pair._fields]
+        own = Pair(
+            *(
+                str(values.values.get(f"name_{role}", name))
+                for role, name in names._asdict().items()
+            )
+        )
         size = (float(volume[0]), float(volume[1]), float(volume[2]))
-        return Rig({names[0]: camera}, {names[1]: projector}, size)
+        return Rig({own.camera: camera}, {own.projector: projector}, size)

@@ -26,7 +26,7 @@ from slbench.core.display import block, numbers
 from slbench.core.errors import InputError
 from slbench.core.types import Finite, Positive
 from slbench.core.values import Value
-from slbench.rig.device import Camera, Projector
+from slbench.rig.device import Camera, Device, Projector
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners
 
@@ -186,19 +186,17 @@ class Rig:
         InputError
             If there are more: a stage that is for one pair takes ``rig.pair(...)``.
         """
-        if len(self.pairs) > 1:
-            raise InputError("rig devices", "one camera and one projector", list(self.devices))
-        return self.pairs[0]
+        return Pair(_only(self.cameras), _only(self.projectors))
 
     @property
     def camera(self) -> Camera:
-        """The only camera."""
-        return self.cameras[self.only.camera]
+        """The only camera; refused where there are more."""
+        return self.cameras[_only(self.cameras)]
 
     @property
     def projector(self) -> Projector:
-        """The only projector."""
-        return self.projectors[self.only.projector]
+        """The only projector; refused where there are more."""
+        return self.projectors[_only(self.projectors)]
 
     @property
     def devices(self) -> Mapping[str, Camera | Projector]:
@@ -285,3 +283,10 @@ class Rig:
         """The eight corners of the measurement volume, (8, 3), world frame."""
         half = np.array(self.volume_mm) / 2.0
         return box_corners(-half, half)
+
+
+def _only(devices: Mapping[str, Device]) -> str:
+    if len(devices) > 1:
+        expected = "one camera and one projector (those of a pair)"
+        raise InputError("rig devices", expected, ", ".join(devices))
+    return next(iter(devices))

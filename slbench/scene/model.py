@@ -153,6 +153,13 @@ class Scene(Value):
             self, sequence=PatternSequence.parse(text, self.sequence.panel, shifts, axes)
         )
 
+    @property
+    def rigs(self) -> tuple[Rig, ...]:
+        """The rig at each focus setting; the rig itself where there are none."""
+        if self.focus is None:
+            return (self.rig,)
+        return tuple(self.focus.rig(self.rig, k) for k in range(len(self.focus)))
+
     def focused(self, setting: int) -> Self:
         """Return the scene at one setting of its focus stack."""
         if self.focus is None or not 0 <= setting < len(self.focus):

@@ -2,9 +2,11 @@
 
 from . import render as render
 from .expose import capture as capture
-from .expose import exposure as exposure
+from .expose import shutter_for as shutter_for
 from .folder import write_scan as write_scan
 from .render.groundtruth import ground_truth as ground_truth
 from .render.trace import trace as trace
 from .scan import Scan as Scan
+from .scan import score_scan as score_scan
+from .stack import capture_stack as capture_stack
 from .transport import LightTransport as LightTransport

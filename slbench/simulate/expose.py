@@ -6,6 +6,7 @@ Every frame is a sparse product and a noise draw.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -14,8 +15,10 @@ from numpy.typing import NDArray
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.random import Word, generator
-from slbench.patterns import Axis, NoiseModel, decode, panel_response
-from slbench.scene.model import Scene
+from slbench.detector import DetectorModel
+from slbench.patterns import Axis, NoiseModel, PatternSequence, decode, panel_response
+from slbench.rig import Camera, Projector, Rig
+from slbench.scene.model import Exposure
 from slbench.simulate.transport import LightTransport
 
 #: Memory for noise-free frames at a time.
@@ -25,30 +28,42 @@ _FLOOR_BYTES = 1 << 27
 NOMINAL_EXPOSURE_S = 0.01
 
 
+class Shutter(NamedTuple):
+    """What a picture is exposed with: photons per unit scene radiance, and seconds."""
+
+    photons: float
+    time_s: float
+
+
 def capture(
-    scene: Scene,
     transport: LightTransport,
+    sequence: PatternSequence,
+    rig: Rig,
+    detector: DetectorModel,
+    exposure: Exposure,
     *,
     seed: int = 0,
     noise: bool = True,
-    light: tuple[float, float] | None = None,
+    shutter: Shutter | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Capture:
-    """Expose the frames of a scene's patterns.
+    """Expose the frames of patterns.
 
     Parameters
     ----------
-    scene : Scene
-        Its sequence, projector, detector and exposure; the light comes from `transport`.
     transport : LightTransport
         With the marginals of the axes that the sequence codes.
+    sequence : PatternSequence
+    rig : Rig
+        One camera and one projector.
+    detector : DetectorModel
+    exposure : Exposure
     seed : int
         Of temporal noise and vibration.  The fixed pattern has the detector's own seed.
     noise : bool
         False: the expected frames, rounded once, without vibration.
-    light : (float, float), optional
-        Photons per unit radiance and exposure time, where another transport of the scene sets
-        them (:func:`exposure`).
+    shutter : Shutter, optional
+        Where another transport of the scene sets it (:func:`shutter_for`).
     on_progress : callable, optional
         Called with the finished fraction.
 
@@ -56,46 +71,48 @@ def capture(
     -------
     Capture
     """
-    sequence = scene.sequence
-    factor, exposure_s = exposure(scene, transport) if light is None else light
+    factor, exposure_s = shutter or shutter_for(transport, rig.camera, detector, exposure)
     shape = (sequence.n_frames, *transport.shape)
-    dtype = np.uint8 if scene.detector.bit_depth == 8 else np.uint16
+    dtype = np.uint8 if detector.bit_depth == 8 else np.uint16
     frames = np.empty(shape, dtype)
     rng = generator(seed, Word.NOISE)
     shake = generator(seed, Word.VIBRATION) if noise else None
     done = 0
-    for indices, radiance in radiance_batches(scene, transport):
-        if shake is not None and scene.exposure.vibration_px > 0:
-            _vibrate(radiance, scene.exposure.vibration_px, shake)
-        frames[indices] = scene.detector.expose(radiance, exposure_s, rng, noise, factor)
+    for indices, radiance in radiance_batches(transport, sequence, rig.projector):
+        if shake is not None and exposure.vibration_px > 0:
+            _vibrate(radiance, exposure.vibration_px, shake)
+        frames[indices] = detector.expose(radiance, exposure_s, rng, noise, factor)
         done += len(indices)
         if on_progress:
             on_progress(done / len(frames))
     return Capture(
         frames,
         sequence,
-        scene.detector.bit_depth,
-        scene.detector.noise_model() if noise else NoiseModel(offset_dn=scene.detector.black_dn),
-        scene.rig,
+        detector.bit_depth,
+        detector.noise_model() if noise else NoiseModel(offset_dn=detector.black_dn),
+        rig,
         exposure_s,
-        scene.detector.saturation_dn,
+        detector.saturation_dn,
+        pair=rig.only,
     )
 
 
 def radiance_batches(
-    scene: Scene, transport: LightTransport
+    transport: LightTransport, sequence: PatternSequence, projector: Projector
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
     """Yield frame indices and their radiance images, a bounded number at a time."""
-    projector = scene.rig.projector
-    for along in scene.sequence.variations:
-        indices = scene.sequence.frames_along(along)
+    for along in sequence.variations:
+        indices = sequence.frames_along(along)
         for part in transport.batches(len(indices), along=along):
-            shown = scene.sequence.shown(indices[part], along)
-            panel = panel_response(shown, projector.bit_depth, projector.gamma)
+            panel = panel_response(
+                sequence.shown(indices[part], along), projector.bit_depth, projector.gamma
+            )
             yield indices[part], transport.relight(panel, along)
 
 
-def noise_free_coordinates(scene: Scene, transport: LightTransport) -> dict[Axis, NDArray]:
+def noise_free_coordinates(
+    transport: LightTransport, sequence: PatternSequence, projector: Projector
+) -> dict[Axis, NDArray]:
     """Decode the radiance itself, before the detector: the renderer's own error floor.
 
     What is left is not noise but geometry and sampling: the projector's square pixels, the
@@ -108,20 +125,22 @@ def noise_free_coordinates(scene: Scene, transport: LightTransport) -> dict[Axis
     """
     scale = np.float32(200.0 / max(float(np.percentile(transport.white(), 99.0)), 1e-30))
     height, width = transport.shape
-    rows = max(1, _FLOOR_BYTES // (4 * width * scene.sequence.n_frames))
+    rows = max(1, _FLOOR_BYTES // (4 * width * sequence.n_frames))
     bands: list[dict[Axis, NDArray]] = []
     for first in range(0, height, rows):
         band = transport.band(slice(first, first + rows))
-        stack = np.empty((scene.sequence.n_frames, *band.shape), np.float32)
-        for indices, radiance in radiance_batches(scene, band):
+        stack = np.empty((sequence.n_frames, *band.shape), np.float32)
+        for indices, radiance in radiance_batches(band, sequence, projector):
             stack[indices] = radiance * scale
         exact = NoiseModel(step_dn=0.0)
-        bands.append(decode(stack, scene.sequence, noise=exact, min_modulation=1.0).coordinate)
+        bands.append(decode(stack, sequence, noise=exact, min_modulation=1.0).coordinate)
     return {axis: np.concatenate([band[axis] for band in bands]) for axis in bands[0]}
 
 
-def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
-    """Return photons per unit radiance, and the exposure time in seconds.
+def shutter_for(
+    transport: LightTransport, camera: Camera, detector: DetectorModel, exposure: Exposure
+) -> Shutter:
+    """Return the shutter that exposes the pictures of a scene.
 
     An automatic exposure scales the light until the fully lit picture reaches the wanted
     level; where the camera has an aperture this is expressed as an exposure time.
@@ -131,8 +150,7 @@ def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
     InputError
         For an absolute exposure through a pinhole, or where the projector lights nothing.
     """
-    camera, detector, time = scene.rig.camera, scene.detector, scene.exposure.time_s
-    per_second = None
+    time, per_second = exposure.time_s, None
     if time is not None or np.isfinite(camera.lens.f_number):
         # Photons per second and unit scene radiance; a pinhole has none, and says so.
         area = camera.pitch_mm[0] * camera.pitch_mm[1]
@@ -140,13 +158,13 @@ def exposure(scene: Scene, transport: LightTransport) -> tuple[float, float]:
         photons = detector.photons(irradiance, 1.0, area)
         per_second = float(photons)
         if time is not None:
-            return per_second * time, time
+            return Shutter(per_second * time, time)
     white = transport.white().astype(np.float64)
     lit = white > transport.ambient
     if not np.any(lit):
-        raise InputError(f"scene {scene.name}", "an object that the projector lights", "none")
-    factor = detector.exposure_scale(white[lit], scene.exposure.white_level)
-    return factor, (factor / per_second if per_second else NOMINAL_EXPOSURE_S)
+        raise InputError("scene", "an object that the projector lights", "none")
+    factor = detector.exposure_scale(white[lit], exposure.white_level)
+    return Shutter(factor, factor / per_second if per_second else NOMINAL_EXPOSURE_S)
 
 
 def _vibrate(frames: NDArray[np.float32], sigma_px: float, rng: np.random.Generator) -> None:

@@ -15,34 +15,44 @@ from slbench.core.io import atomic_folder, write_json, write_ply, write_provenan
 from slbench.objects import Mesh
 from slbench.scene.truth import GroundTruth
 from slbench.score.points import point_errors
-from slbench.simulate.fusionscore import all_in_focus
+from slbench.simulate.pinholes import all_in_focus
 from slbench.simulate.scan import Scan
 
 
-def write_scan(result: Scan, folder: str | Path) -> list[Path]:
+def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> list[Path]:
     """Write a scan's files; nothing appears in `folder` until all are complete.
+
+    Parameters
+    ----------
+    result : Scan
+    folder : path
+    picture : bool
+        False leaves out ``summary.png``, which takes longer to draw than a small scan to make.
 
     Returns
     -------
     list of Path
         Frames and manifest (``capture.toml``, ``frames/``, ``rig.yaml``), ``truth.exr``,
-        ``transport.npz``, ``cloud.ply`` (where there are points), ``score.json``,
+        ``transport.npz``, ``cloud.ply`` (where there are points), ``score.json`` (what the
+        scan says of itself; without scores the number of points),
         ``summary.png``, ``provenance.json``; with focus settings also ``stack/``
         and ``all-in-focus/``, the expected frames through pinholes.
     """
     with atomic_folder(folder) as temporary:
         result.capture.save(temporary)
-        if result.stack is not None:
+        scene = result.scene
+        if scene.focus is not None:
             result.stack.save(temporary / "stack")
-            sharp = all_in_focus(result.stack, result.scene, result.transport)
-            sharp.save(temporary / "all-in-focus")
+            light = result.transport, scene.detector, scene.exposure
+            all_in_focus(result.stack, *light).save(temporary / "all-in-focus")
         result.truth.save(temporary / "truth.exr")
         result.transport.save(temporary / "transport.npz")
         if len(result.cloud):
             write_cloud(temporary / "cloud.ply", result.cloud, result.truth)
         write_json(temporary / "score.json", result.to_dict())
-        write_figure(result, temporary / "summary.png")
-        write_provenance(temporary, scan_parameters(result), result.seed)
+        if picture:
+            write_figure(result, temporary / "summary.png")
+        write_provenance(temporary, scan_parameters(result), result.run.seed)
         names = [entry.name for entry in sorted(temporary.iterdir())]
     return [Path(folder) / name for name in names]
 
@@ -53,8 +63,8 @@ def scan_parameters(result: Scan) -> dict[str, Any]:
         "scene": result.scene.specification,
         "patterns": result.scene.sequence.to_dict(),
         "samples": result.transport.samples,
-        "noise": result.noise,
-        "variant": result.variant,
+        "noise": result.run.noise,
+        "variant": result.run.variant,
         "objects": [
             {"name": item.artefact.name, "sha256": _digest(item.artefact.mesh)}
             for item in result.scene.objects

@@ -1,7 +1,7 @@
 """Simulated repeats: a scene or a plate in its place, captured again and again at some pixels.
 
-Light is traced once (:func:`traced`) for all repeats and patterns; what differs between repeats
-is the detector's noise and vibration.
+Light is traced once (:func:`slbench.simulate.stack.traced`) for all repeats and patterns; what
+differs between repeats is the detector's noise and vibration.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from slbench.core.random import Word, generator, tagged_seed
 from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
 from slbench.rig import Pose
 from slbench.scene.model import Scene, SceneObject
-from slbench.simulate.expose import capture, exposure, radiance_batches
-from slbench.simulate.scan import capture_stack
+from slbench.simulate.expose import radiance_batches, shutter_for
+from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
@@ -39,18 +39,9 @@ def plate_scene(scene: Scene, height_mm: float) -> Scene:
     return replace(scene, objects=(SceneObject(plate, pose, scene.objects[0].material),))
 
 
-def traced(scene: Scene, seed: int) -> LightTransport | list[LightTransport]:
-    """Trace the scene, or each of its focus settings, with the marginal "u"."""
-    from slbench.simulate.render.trace import trace
-
-    if scene.focus is None:
-        return trace(scene, ("u",), seed=seed)
-    return [trace(scene.focused(k), ("u",), seed=seed) for k in range(len(scene.focus))]
-
-
 def repeated_phases(
     scene: Scene,
-    transports: LightTransport | Sequence[LightTransport],
+    transports: Sequence[LightTransport],
     fringes: Sequence[int],
     pixels: NDArray[np.intp],
     *,
@@ -66,8 +57,8 @@ def repeated_phases(
     ----------
     scene : Scene
         Its detector and exposure; the patterns are those given here.
-    transports : LightTransport or sequence of LightTransport
-        With the marginal "u"; with focus settings one of each, and every repeat is fused.
+    transports : sequence of LightTransport
+        With the marginal "u"; one a focus setting, and every repeat is fused where there are any.
     fringes : sequence of int
         Counts of the k sets, along u.
     pixels : (P,) int
@@ -86,8 +77,8 @@ def repeated_phases(
     parts = tuple(Fringes(n, shifts) for n in fringes)
     panel = (scene.rig.projector.width, scene.rig.projector.height)
     patterned = replace(scene, sequence=PatternSequence(panel, parts))
-    if isinstance(transports, LightTransport):
-        captures = _frames(patterned, transports, pixels, repeats, seed)
+    if scene.focus is None:
+        captures = _frames(patterned, transports[0], pixels, repeats, seed)
     else:
         captures = _fused_frames(patterned, transports, pixels, repeats, seed, weights)
     phases = np.empty((repeats, len(parts), len(pixels)))
@@ -110,13 +101,12 @@ def _frames(
     """Yield the frames of each repeat at the pixels, (N, P)."""
     if scene.exposure.vibration_px > 0.0:  # moves whole images
         for r in range(repeats):
-            yield capture(scene, transport, seed=tagged_seed(seed, r)).frames.reshape(
-                -1, transport.ambient.size
-            )[:, pixels]
+            (shots,) = capture_stack(scene, (transport,), seed=tagged_seed(seed, r)).captures
+            yield shots.frames.reshape(len(shots.frames), -1)[:, pixels]
         return
-    factor, exposure_s = exposure(scene, transport)
+    factor, exposure_s = shutter_for(transport, scene.rig.camera, scene.detector, scene.exposure)
     few = np.empty((scene.sequence.n_frames, 1, len(pixels)), np.float32)
-    for indices, radiance in radiance_batches(scene, transport):
+    for indices, radiance in radiance_batches(transport, scene.sequence, scene.rig.projector):
         few[indices, 0] = radiance.reshape(len(radiance), -1)[:, pixels]
     for r in range(repeats):
         rng = generator(tagged_seed(seed, r), Word.NOISE)
@@ -140,7 +130,7 @@ def _fused_frames(
         values = []
         for part in scene.sequence.parts:
             alone = replace(scene, sequence=PatternSequence(panel, (Flat(1.0), part)))
-            stack = capture_stack(alone, transports=transports, seed=tagged_seed(seed, r))
+            stack = capture_stack(alone, transports, seed=tagged_seed(seed, r))
             shots = stack.fuse(weights).capture
             scale = 2.0 ** (scene.detector.bit_depth - shots.bit_depth)
             values.append(scale * shots.frames[1:].reshape(len(shots.frames) - 1, -1)[:, pixels])

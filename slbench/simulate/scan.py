@@ -1,13 +1,15 @@
-"""The main stream: a scene is traced, captured, decoded, triangulated and scored.
+"""The main stream: a scene is traced, captured, decoded, triangulated and, if wanted, scored.
 
-A scene with focus settings is traced and captured once a setting, and the stack is fused
-before it is decoded (thesis 5.1); its truth has the picture through pinholes too.
+Every stage takes what it needs and returns one value; :func:`scan` leads a scene through them.
+Each pair of a camera and a projector has a :class:`View`.  A scene with focus settings is
+captured once a setting, and the stack is fused before it is decoded (thesis 5.1); without, it is
+a stack of one.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,52 +24,163 @@ from slbench.core.display import block
 from slbench.core.document import Table
 from slbench.core.drawing import figure
 from slbench.core.errors import InputError
-from slbench.core.random import derived_seed
-from slbench.patterns import Flat, PatternSequence, PhaseMap
+from slbench.patterns import PatternSequence, PhaseMap
+from slbench.rig import Pair, Projector
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.score.points import Score, score
-from slbench.simulate.expose import capture, exposure, noise_free_coordinates
-from slbench.simulate.fusionscore import FusionScore, score_fusion
+from slbench.score.fusion import FusionScore, score_fusion
+from slbench.score.points import Score
+from slbench.score.points import score as score_points
+from slbench.simulate.expose import noise_free_coordinates
+from slbench.simulate.pinholes import expected_frames
+from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
 #: Called with the name of the stage and its finished fraction.
 Progress = Callable[[str, float], None]
 
 
-@dataclass(frozen=True, eq=False)
-class Scan:
-    """Everything that a scan made, stage by stage.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class View:
+    """What a camera sees of a projector's patterns, and what is true there.
 
-    ``floor_rms_px`` is the RMS error of the panel coordinate with the detector left out, over
-    smooth lit pixels: the renderer's own error, beside which noise is to be judged.
-    ``seconds`` has ``trace`` (light transport), ``truth``, ``relight`` (frames), ``decode``,
-    ``reconstruct``, ``score`` (with the floor) and ``total``; ``variant`` is Mitsuba's.
+    Parameters
+    ----------
+    transport : LightTransport
+        Of the scene; through pinholes where it has focus settings.
+    truth : GroundTruth
+    stack : FocusStack
+        A capture a focus setting, one where there are none.
+    fused : FusedCapture
+        The stack as one capture.
+    phase : PhaseMap
     """
 
-    scene: Scene
     transport: LightTransport
     truth: GroundTruth
-    capture: Capture
+    stack: FocusStack
+    fused: FusedCapture
     phase: PhaseMap
-    cloud: PointCloud
-    score: Score
-    floor_rms_px: float
-    seconds: dict[str, float]
+
+    @property
+    def capture(self) -> Capture:
+        """The frames that were decoded."""
+        return self.fused.capture
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """How a scan was made.
+
+    ``seconds`` has ``trace`` (light transport), ``truth``, ``relight`` (frames), ``fuse``,
+    ``decode``, ``reconstruct``, ``score`` (where it was scored) and ``total``; ``variant`` is
+    Mitsuba's.
+    """
+
     seed: int
     noise: bool
     variant: str
-    stack: FocusStack | None = None
-    fused: FusedCapture | None = None
-    fusion: FusionScore | None = None
+    seconds: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanScores:
+    """What a scan is worth.
+
+    ``floor_rms_px`` is the RMS error of the panel coordinate with the detector left out, over
+    smooth lit pixels: the renderer's own error, beside which noise is to be judged.  ``fusion``
+    is None for a scene without focus settings.
+    """
+
+    points: Score
+    floor_rms_px: float
+    fusion: FusionScore | None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Scan:
+    """What a scan measured, and how.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the patterns and samples that were used.
+    views : mapping of Pair to View
+        One a pair of camera and projector.  ``transport``, ``truth``, ``stack``, ``capture`` and
+        ``phase`` of a scan are those of its only view.
+    cloud : PointCloud
+    run : Run
+    scores : ScanScores or None
+        None where scoring was left out; ``score``, ``floor_rms_px`` and ``fusion`` are its parts.
+    """
+
+    scene: Scene
+    views: Mapping[Pair, View]
+    cloud: PointCloud
+    run: Run
+    scores: ScanScores | None = None
+
+    @property
+    def view(self) -> View:
+        """The only view."""
+        return self.views[self.scene.rig.only]
+
+    @property
+    def transport(self) -> LightTransport:
+        """Light transport of the only view."""
+        return self.view.transport
+
+    @property
+    def truth(self) -> GroundTruth:
+        """Ground truth of the only view."""
+        return self.view.truth
+
+    @property
+    def stack(self) -> FocusStack:
+        """Captures of the only view, one a focus setting."""
+        return self.view.stack
+
+    @property
+    def capture(self) -> Capture:
+        """Decoded frames of the only view."""
+        return self.view.capture
+
+    @property
+    def phase(self) -> PhaseMap:
+        """Panel coordinates of the only view."""
+        return self.view.phase
+
+    @property
+    def score(self) -> Score:
+        """Score of the points; refused where scoring was left out."""
+        return self._scored.points
+
+    @property
+    def floor_rms_px(self) -> float:
+        """The renderer's own error; refused where scoring was left out."""
+        return self._scored.floor_rms_px
+
+    @property
+    def fusion(self) -> FusionScore | None:
+        """Score of a fused stack; refused where scoring was left out."""
+        return self._scored.fusion
+
+    @property
+    def _scored(self) -> ScanScores:
+        if self.scores is None:
+            raise InputError("scan", "one that was scored (score_scan)", "one that was not")
+        return self.scores
 
     def __repr__(self) -> str:
-        sequence, transport = self.scene.sequence, self.transport
+        sequence, shape = self.scene.sequence, self.transport.shape
+        lines = [f"{len(self.cloud)} points, not scored", f"{self.run.seconds['total']:.1f} s"]
+        if self.scores is not None:
+            lines[0] = repr(self.score)
+            lines[1] = f"renderer's floor {self.floor_rms_px:.4f} px; {lines[1]}"
         return block(
             f"Scan of {self.scene.name}: {{{sequence.name}}}, {sequence.n_frames} frames "
-            f"{transport.shape[1]} x {transport.shape[0]} px, seed {self.seed}",
-            repr(self.score),
-            f"renderer's floor {self.floor_rms_px:.4f} px; {self.seconds['total']:.1f} s",
+            f"{shape[1]} x {shape[0]} px, seed {self.run.seed}",
+            *lines,
         )
 
     def _repr_html_(self) -> str:
@@ -76,6 +189,8 @@ class Scan:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the numbers of the whole scan as they are shown, (quantity, value)."""
+        if self.scores is None:
+            return [("points", f"{len(self.cloud)}")]
         return [*self.score.rows(), ("renderer's own floor", f"{self.floor_rms_px:.4f} px")]
 
     def plot(self) -> Any:
@@ -84,17 +199,21 @@ class Scan:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values for JSON."""
-        fusion = {} if self.fusion is None else {"fusion": self.fusion.to_dict()}
+        scores, fusion = {"points": len(self.cloud)}, {}
+        if self.scores is not None:
+            scores = self.score.to_dict() | {"floor_rms_px": self.floor_rms_px}
+            if self.fusion is not None:
+                fusion = {"fusion": self.fusion.to_dict()}
         return {
             "scene": self.scene.name,
             "patterns": self.scene.sequence.name,
             "frames": self.scene.sequence.n_frames,
-            **self.score.to_dict(),
-            "floor_rms_px": self.floor_rms_px,
-            "seed": self.seed,
-            "noise": self.noise,
-            "seconds": self.seconds,
-        } | fusion
+            **scores,
+            "seed": self.run.seed,
+            "noise": self.run.noise,
+            "seconds": dict(self.run.seconds),
+            **fusion,
+        }
 
 
 def scan(
@@ -104,6 +223,7 @@ def scan(
     noise: bool = True,
     samples: int | None = None,
     weights: WeightSource = "lit",
+    score: bool = True,
     on_progress: Progress | None = None,
 ) -> Scan:
     """Measure a scene: trace, capture, decode, triangulate, score.
@@ -119,6 +239,8 @@ def scan(
         Monte Carlo samples a pixel, instead of the scene's.
     weights : {"lit", "modulation"}
         Where a focus stack's settings are judged to be sharp (:mod:`slbench.capture.stack`).
+    score : bool
+        False leaves out the score, which takes longer than the scan (:func:`score_scan`).
     on_progress : callable, optional
 
     Returns
@@ -142,141 +264,81 @@ def scan(
     begin = time.perf_counter()
 
     @contextmanager
-    def stage(name: str) -> Iterator[None]:
+    def stage(name: str) -> Iterator[Callable[[float], None]]:
         start = time.perf_counter()
         report(name, 0.0)
-        yield
+        yield lambda done: report(name, done)
         report(name, 1.0)
-        seconds[name] = time.perf_counter() - start
+        seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
 
-    stack = fused = fusion = None
-    with stage("trace"):
-        sharp = scene if scene.focus is None else with_lit_frame(scene).all_in_focus()
-        transport = trace(
-            sharp, samples=samples, seed=seed, on_progress=lambda done: report("trace", done)
-        )
-    with stage("truth"):
-        truth = ground_truth(scene)
-    with stage("relight"):
-        if scene.focus is None:
-            shots = capture(
-                scene,
-                transport,
+    if samples is not None:
+        scene = replace(scene, samples=samples)
+    # Refused before anything is traced: points of several pairs are not yet put together.
+    only = scene.rig.only
+    views: dict[Pair, View] = {}
+    for pair in scene.rig.pairs:
+        rig = scene.rig.pair(pair)
+        with stage("trace") as progress:
+            transport = trace(
+                scene.objects,
+                rig if scene.focus is None else rig.pinholes(),
+                scene.light,
+                scene.sequence.variations,
+                samples=scene.samples,
                 seed=seed,
-                noise=noise,
-                on_progress=lambda done: report("relight", done),
+                on_progress=progress,
             )
-        else:
+        with stage("truth"):
+            truth = ground_truth(scene.objects, rig)
+        with stage("relight") as progress:
             stack = capture_stack(
-                scene,
-                samples=samples,
+                replace(scene, rig=rig),
+                (transport,) if scene.focus is None else None,
                 seed=seed,
                 noise=noise,
-                on_progress=lambda done: report("relight", done),
+                on_progress=progress,
             )
-    if stack is not None:
         with stage("fuse"):
             fused = stack.fuse(weights)
-            shots = replace(fused.capture, rig=scene.rig)
-    with stage("decode"):
-        phase = shots.decode() if fused is None else fused.decode()
+            fused = replace(fused, capture=replace(fused.capture, rig=rig))
+        with stage("decode"):
+            phase = fused.decode()
+        views[pair] = View(transport=transport, truth=truth, stack=stack, fused=fused, phase=phase)
     with stage("reconstruct"):
-        cloud = triangulate(scene.rig, phase)
-    with stage("score"):
-        result = score(cloud, truth, phase, scene.objects, scene.rig)
-        floor = floor_rms_px(scene, transport, truth)
-        if stack is not None and fused is not None:
-            fusion = score_fusion(stack, fused, with_lit_frame(scene), transport, truth)
+        view = views[only]
+        cloud = triangulate(scene.rig, view.phase)
+    run = Run(seed=seed, noise=noise, variant=current().variant, seconds=seconds)
+    used = replace(scene, samples=view.transport.samples, sequence=view.capture.sequence)
+    result = Scan(scene=used, views=views, cloud=cloud, run=run)
+    if score:
+        with stage("score"):
+            result = replace(result, scores=score_scan(result))
     seconds["total"] = time.perf_counter() - begin
-    return Scan(
-        replace(scene, samples=transport.samples, sequence=shots.sequence),
-        transport,
-        truth,
-        shots,
-        phase,
-        cloud,
-        result,
-        floor,
-        seconds,
-        seed,
-        noise,
-        current().variant,
-        stack,
-        fused,
-        fusion,
+    return result
+
+
+def score_scan(scan: Scan) -> ScanScores:
+    """Score a scan: its points and features, the renderer's floor, and how well a stack fused."""
+    scene, view = scan.scene, scan.view
+    fusion = None
+    if scene.focus is not None:
+        sharp = expected_frames(view.stack, view.transport, scene.detector, scene.exposure)
+        fusion = score_fusion(view.stack, view.fused, sharp, view.truth)
+    projector = scene.rig.projector
+    return ScanScores(
+        points=score_points(scan.cloud, view.truth, view.phase, scene.objects, scene.rig),
+        floor_rms_px=floor_rms_px(view.transport, scene.sequence, projector, view.truth),
+        fusion=fusion,
     )
 
 
-def with_lit_frame(scene: Scene) -> Scene:
-    """Return the scene with a fully lit frame first, unless its patterns have one."""
-    sequence = scene.sequence
-    if sequence.lit_frame is not None:
-        return scene
-    lit = PatternSequence(sequence.panel, (Flat(1.0), *sequence.parts))
-    return replace(scene, sequence=lit)
-
-
-def capture_stack(
-    scene: Scene,
-    *,
-    transports: Sequence[LightTransport] | None = None,
-    samples: int | None = None,
-    seed: int = 0,
-    noise: bool = True,
-    on_progress: Callable[[float], None] | None = None,
-) -> FocusStack:
-    """Capture a scene at each of its focus settings, a fully lit frame with its patterns.
-
-    All settings have one exposure, that of the middle one.
-
-    Parameters
-    ----------
-    scene : Scene
-        With focus settings.
-    transports : sequence of LightTransport, optional
-        Of ``scene.focused(k)`` for every setting, where they are at hand; traced otherwise, one
-        at a time.
-    samples, seed, noise, on_progress
-        As for :func:`scan`.
-
-    Returns
-    -------
-    FocusStack
-
-    Raises
-    ------
-    InputError
-        If the scene has no focus settings.
-    """
-    from slbench.simulate.render.trace import trace
-
-    if scene.focus is None:
-        raise InputError(f"scene {scene.name}: focus", "settings of a stack", "none")
-    lit = with_lit_frame(scene)
-    count = len(scene.focus)
-    light: tuple[float, float] | None = None
-    captures: dict[int, Capture] = {}
-    # The middle first: the others take its exposure.
-    for setting in sorted(range(count), key=lambda k: k != count // 2):
-        focused = lit.focused(setting)
-        if transports is None:
-            transport = trace(focused, samples=samples, seed=seed)
-        else:
-            transport = transports[setting]
-        light = light or exposure(focused, transport)
-        # Noise of its own for each setting, whatever the seeds of other scans.
-        own = derived_seed(seed, setting)
-        captures[setting] = capture(focused, transport, seed=own, noise=noise, light=light)
-        if on_progress:
-            on_progress(len(captures) / count)
-    return FocusStack([captures[k] for k in range(count)], scene.focus)
-
-
-def floor_rms_px(scene: Scene, transport: LightTransport, truth: GroundTruth) -> float:
+def floor_rms_px(
+    transport: LightTransport, sequence: PatternSequence, projector: Projector, truth: GroundTruth
+) -> float:
     """Return the RMS error of noise-free panel coordinates over smooth lit pixels, px."""
     smooth = truth.smooth()
     squares: list[NDArray[np.float64]] = []
-    for axis, coordinate in noise_free_coordinates(scene, transport).items():
+    for axis, coordinate in noise_free_coordinates(transport, sequence, projector).items():
         error = (coordinate - truth.panel[..., "uv".index(axis)])[smooth]
         squares.append(error[np.isfinite(error)] ** 2)
     values = np.concatenate(squares)

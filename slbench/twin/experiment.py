@@ -30,8 +30,7 @@ from slbench.core.random import Word, derived_seed, generator
 from slbench.patterns import Axis, PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene
-from slbench.simulate.expose import capture
-from slbench.simulate.scan import capture_stack, with_lit_frame
+from slbench.simulate.stack import capture_stack, with_lit_frame
 
 Array = NDArray[np.float64]
 
@@ -218,14 +217,9 @@ def _dots(
 
 def _measured(scene: Scene, weights: WeightSource, seed: int) -> tuple[Capture, PhaseMap]:
     """Capture a scene with a lit frame, fused where it has focus settings, and decode."""
-    from slbench.simulate.render.trace import trace
-
-    if scene.focus is not None:
-        fused = capture_stack(scene, seed=seed).fuse(weights)
-        return fused.capture, fused.decode()
-    lit = with_lit_frame(scene)
-    shots = capture(lit, trace(lit, seed=seed), seed=seed)
-    return shots, shots.decode()
+    lit = replace(scene, sequence=with_lit_frame(scene.sequence))
+    fused = capture_stack(lit, seed=seed).fuse(weights)
+    return fused.capture, fused.decode()
 
 
 def _numbered(centres: Array, dots: Array, expected: Array) -> NDArray[np.intp]:

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tomli_w
+from stages import capture, ground_truth, trace
 
 from slbench import datasets
 from slbench.datasets.manifest import Manifest
@@ -18,9 +19,6 @@ from slbench.datasets.store.sample import RIG, SCENE, TRANSPORT, TRUTH, from_fol
 from slbench.datasets.store.storage import Storage
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene
-from slbench.simulate.expose import capture
-from slbench.simulate.render.groundtruth import ground_truth
-from slbench.simulate.render.trace import trace
 
 PATTERNS = "1,8,64@4"  # 12 frames
 COPIES = 8

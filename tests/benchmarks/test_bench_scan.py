@@ -47,7 +47,7 @@ print(json.dumps({
     "frames": result.capture.frames.nbytes,
     "transport": sum(m.data.nbytes + m.indices.nbytes for m in result.transport.marginals.values()),
     "points": len(result.cloud),
-    "seconds": result.seconds,
+    "seconds": result.run.seconds,
 }))
 """
 
@@ -73,7 +73,7 @@ def test_scan_stage_by_stage(benchmark):
     scene = load_scene("step-block")
     scan(scene, samples=4)  # compiles
     result = benchmark.pedantic(scan, args=(scene,), rounds=3)
-    stages = {name: f"{value:.3f} s" for name, value in result.seconds.items()}
+    stages = {name: f"{value:.3f} s" for name, value in result.run.seconds.items()}
     benchmark.extra_info.update(stages)
     print(stages)
     # What was timed is a whole scan.

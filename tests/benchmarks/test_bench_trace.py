@@ -9,13 +9,13 @@ import time
 
 import numpy as np
 import pytest
+from stages import trace
 
 from slbench import objects
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
 from slbench.scene.model import Scene, SceneObject
 from slbench.simulate.render.mitsuba import mi
-from slbench.simulate.render.trace import trace
 from slbench.simulate.render.translate import mitsuba_dict
 from slbench.simulate.transport import SparseRows
 

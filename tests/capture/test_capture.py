@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import tomli_w
+from stages import capture, noise_free_coordinates, shutter_for
 
 from slbench import objects
 from slbench.capture.capture import Capture
@@ -22,7 +23,7 @@ from slbench.patterns import NoiseModel, PatternSequence
 from slbench.rig import Camera, Lens, Pair, Pose, Projector, Rig
 from slbench.rig.opencv import write_rig
 from slbench.scene.model import Exposure, Scene, SceneObject
-from slbench.simulate.expose import _vibrate, capture, exposure, noise_free_coordinates
+from slbench.simulate.expose import _vibrate
 from slbench.simulate.transport import LightTransport, SparseRows
 
 SHAPE = (48, 64)  # camera rows, columns
@@ -214,9 +215,9 @@ def test_ambient_light_costs_precision_as_predicted():
 
 def test_absolute_exposure_needs_an_aperture():
     given = scene(exposure=Exposure(time_s=0.01))
-    factor, time = exposure(given, transport())
+    factor, time = shutter_for(given, transport())
     assert time == 0.01
-    assert exposure(replace(given, exposure=Exposure(time_s=0.02)), transport())[0] == (
+    assert shutter_for(replace(given, exposure=Exposure(time_s=0.02)), transport())[0] == (
         pytest.approx(2 * factor)
     )
     camera = replace(given.rig.camera, lens=Lens(16.0))
@@ -227,8 +228,8 @@ def test_absolute_exposure_needs_an_aperture():
 
 def test_automatic_exposure_is_told_as_a_time():
     given = scene()
-    factor, time = exposure(given, transport(1e-5))
-    again, _ = exposure(replace(given, exposure=Exposure(time_s=time)), transport(1e-5))
+    factor, time = shutter_for(given, transport(1e-5))
+    again, _ = shutter_for(replace(given, exposure=Exposure(time_s=time)), transport(1e-5))
     assert again == pytest.approx(factor)
 
 
@@ -297,14 +298,20 @@ def test_named_devices_keep_their_names_in_a_folder(tmp_path):
     replace(shots, pair=pair, rig=rig).save(tmp_path)
     again = Capture.load(tmp_path)
     assert again.pair == again.rig.only == pair
+    manifest = tmp_path / "capture.toml"
+    manifest.write_text(manifest.read_text().replace('"left"', '"right"'))
+    with pytest.raises(InputError, match=r"capture.toml.*left-beamer.*right-beamer"):
+        Capture.load(tmp_path)
 
 
-def test_a_manifest_names_devices_that_its_rig_has(tmp_path):
+def test_a_manifest_names_the_devices_of_a_calibration_that_does_not(tmp_path):
     capture(scene(), transport(), seed=1).save(tmp_path)
     manifest = tmp_path / "capture.toml"
     assert "camera" not in read_toml(manifest)  # nothing to be said
     manifest.write_text('camera = "top"\n' + manifest.read_text())
-    with pytest.raises(InputError, match=r"capture.toml.*camera-projector.*top-projector"):
+    assert Capture.load(tmp_path).rig.only == ("top", "projector")
+    manifest.write_text(manifest.read_text().replace('"top"', "3", 1))
+    with pytest.raises(InputError, match=r"capture.toml: camera"):
         Capture.load(tmp_path)
 
 

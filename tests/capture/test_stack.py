@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes_small import scene_of
+from scenes_small import scene_of, small, transport_of
 from scipy.spatial.transform import Rotation
+from stages import capture, ground_truth, shutter_for, trace, with_lit_frame
 
 from slbench import objects
 from slbench.capture.capture import Capture
 from slbench.capture.focus import Focus
-from slbench.capture.fusion import pyramid_selection
+from slbench.capture.fusion import maximum_weights, pyramid_selection, selective_weights
 from slbench.capture.stack import FocusStack, modulation_weights
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml, write_toml
@@ -19,12 +20,11 @@ from slbench.rig import Pose
 from slbench.scene.file import load_scene
 from slbench.scene.materials import PRESETS
 from slbench.scene.model import SceneObject
-from slbench.simulate.expose import exposure
+from slbench.score.fusion import score_fusion
 from slbench.simulate.folder import write_scan
-from slbench.simulate.fusionscore import compare_fusions
-from slbench.simulate.render.groundtruth import ground_truth
-from slbench.simulate.render.trace import trace
-from slbench.simulate.scan import capture_stack, scan, with_lit_frame
+from slbench.simulate.pinholes import expected_frames
+from slbench.simulate.scan import scan
+from slbench.simulate.stack import capture_stack
 
 SEQUENCE = PatternSequence((64, 48), (Flat(1.0), Fringes(1), Fringes(4)))
 
@@ -321,7 +321,7 @@ def phase_noise(scene, source, repeats=6):
     transports = [trace(scene.focused(k)) for k in range(len(scene.focus))]
     phases = []
     for r in range(repeats):
-        stack = capture_stack(scene, transports=transports, seed=40 + r)
+        stack = capture_stack(scene, transports, seed=40 + r)
         if source == "middle":
             frames = stack.captures[len(stack) // 2].frames
         else:
@@ -347,9 +347,21 @@ def test_every_way_to_fuse_against_the_all_in_focus_truth(speckled, full_well_e,
     detector = replace(scene.detector, full_well_e=full_well_e, read_noise_e=read_noise_e)
     slope = replace(scene.objects[0], pose=pose)
     scene = replace(scene, objects=(slope,), detector=detector)
-    found = compare_fusions(
-        capture_stack(scene, seed=1), scene, trace(scene.all_in_focus()), ground_truth(scene)
+    stack, truth = capture_stack(scene, seed=1), ground_truth(scene)
+    sharp = list(
+        expected_frames(stack, trace(scene.all_in_focus()), scene.detector, scene.exposure)
     )
+    lit = stack.lit()
+    ways = {
+        "saf": selective_weights(lit),
+        "maximum": maximum_weights(lit),
+        "pyramid": pyramid_selection(lit),
+        "modulation": modulation_weights(stack),
+    }
+    found = {
+        name: score_fusion(stack, stack.fuse_with(weights), sharp, truth)
+        for name, weights in ways.items()
+    }
     saf = found["saf"]
     assert min(saf.fused_inside.pixels, saf.fused_outside.pixels) > 10_000
     # Measured 0.41 and 0.54 of the middle setting's phase error, 0.38 and 0.44 of intensity.
@@ -393,11 +405,22 @@ def test_all_settings_have_the_exposure_of_the_middle():
     scene = replace(scene, focus=focused((400.0, 450.0, 500.0), (800.0, 800.0, 800.0)))
     stack = capture_stack(scene)
     middle = with_lit_frame(scene).focused(1)
-    expected = exposure(middle, trace(middle))[1]
+    expected = shutter_for(middle, trace(middle))[1]
     np.testing.assert_allclose([c.exposure_s for c in stack.captures], expected, rtol=1e-12)
     # Noise is drawn anew for every setting.
     same = replace(scene, focus=focused((450.0, 450.0), (800.0, 800.0)))
     first, second = capture_stack(same).captures
     assert np.any(first.frames != second.frames)
-    with pytest.raises(InputError, match="settings of a stack"):
-        capture_stack(replace(scene, focus=None))
+
+
+def test_a_scene_without_settings_is_a_stack_of_one_picture_as_it_was_taken():
+    scene, transport = small("plane"), transport_of("plane")
+    stack = capture_stack(scene, (transport,), seed=4)
+    fused = stack.fuse()
+    assert fused.capture is stack.captures[0]
+    assert fused.noise_gain == 1.0
+    # Its patterns and its seed are the scan's own: no lit frame, no seed of a setting.
+    assert fused.capture.sequence == scene.sequence
+    expected = capture(scene, transport, seed=4)
+    np.testing.assert_array_equal(fused.capture.frames, expected.frames)
+    np.testing.assert_array_equal(fused.decode().sigma["u"], expected.decode().sigma["u"])

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from dataset_specs import hashes, rows_of, write_spec
 from scenes_small import small, transport_of, truth_of
+from stages import floor_rms_px, noise_free_coordinates
 
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
@@ -31,8 +32,7 @@ from slbench.datasets.store.shards import END, digest, key, pack, unpack
 from slbench.datasets.store.storage import Storage, is_temporary
 from slbench.datasets.verify import information, verify_dataset
 from slbench.scene.file import load_scene
-from slbench.simulate.expose import noise_free_coordinates
-from slbench.simulate.scan import floor_rms_px, scan
+from slbench.simulate.scan import scan
 from slbench.simulate.transport import LightTransport
 
 COUNT, SEED = 5, 3

@@ -12,6 +12,7 @@ import datasets_small as small
 import fsspec
 import numpy as np
 import pytest
+from stages import capture
 
 from slbench import datasets
 from slbench.core.errors import InputError
@@ -19,7 +20,6 @@ from slbench.datasets.store.storage import Storage
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
 from slbench.scene.model import Exposure
-from slbench.simulate.expose import capture
 from slbench.simulate.scan import scan
 
 READY = [n for n in range(small.COUNT) if n != small.FAILED]

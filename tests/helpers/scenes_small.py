@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
+from stages import ground_truth, trace
 
 from slbench import objects
 from slbench.cli import main
@@ -23,8 +24,6 @@ from slbench.scene.file import load_scene
 from slbench.scene.materials import Material
 from slbench.scene.model import Scene, SceneObject
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.render.groundtruth import ground_truth
-from slbench.simulate.render.trace import trace
 from slbench.simulate.transport import LightTransport
 
 

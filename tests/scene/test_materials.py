@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from stages import trace
 
 from slbench import objects
 from slbench.core.errors import InputError
@@ -12,7 +13,6 @@ from slbench.scene.file import load_scene
 from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import SceneObject
 from slbench.simulate.render.show import shade
-from slbench.simulate.render.trace import trace
 
 #: Named in the issue.
 WANTED = {

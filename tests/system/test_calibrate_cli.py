@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from calibration_data import rig_points
 from scenes_small import check_refused, run_cli, small, transport_of
+from stages import capture
 
 from slbench.calibration.models.model import CalibrationModel
 from slbench.calibration.models.points import COLUMNS, CalibrationPoints
 from slbench.core.io import read_ply
-from slbench.simulate.expose import capture
 
 
 def small_points(n, noise_px=0.05, seed=0):

@@ -93,6 +93,19 @@ def test_scan_writes_its_files_and_nothing_else(scanned):
     assert provenance["parameters"]["scene"]["name"] == "small"
 
 
+def test_scores_and_picture_may_be_left_out(tmp_path, scanned):
+    out, page = tmp_path / "out", tmp_path / "page.html"
+    options = ("--seed", 3, "--no-score", "--no-picture", "--out", out)
+    outcome = ok("scan", write_scene(tmp_path), *options, "--report", page)
+    assert {p.name for p in out.iterdir()} == FILES - {"summary.png"}
+    points = read_json(scanned[0] / "score.json")["points"]
+    assert read_json(out / "score.json")["points"] == points
+    assert "median error" not in outcome.out
+    assert str(points) in outcome.out
+    assert "median error" not in page.read_text()
+    assert (out / "cloud.ply").read_bytes() == (scanned[0] / "cloud.ply").read_bytes()
+
+
 def contents(folder):
     """Return every file's bytes, without the time it was made and the time it took."""
     found = {}

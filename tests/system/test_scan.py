@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scenes_small import at, scene_of, small, transport_of, truth_of
 from scipy.spatial import ConvexHull
+from stages import capture, floor_rms_px, noise_free_coordinates, trace
 
 from slbench import objects
 from slbench.core.errors import InputError
@@ -22,10 +23,8 @@ from slbench.scene.materials import Material
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 from slbench.scene.truth import GroundTruth, Status
 from slbench.score.points import point_errors
-from slbench.simulate.expose import capture, noise_free_coordinates
 from slbench.simulate.folder import write_scan
-from slbench.simulate.render.trace import trace
-from slbench.simulate.scan import floor_rms_px, scan
+from slbench.simulate.scan import scan, score_scan
 
 
 @functools.cache
@@ -340,17 +339,18 @@ def test_ambient_light_lowers_contrast_but_not_coordinates():
 
 def test_a_scan_is_what_its_parts_are():
     result = scanned("step-block")
-    assert set(result.seconds) == {
+    assert set(result.run.seconds) == {
         "trace",
         "truth",
         "relight",
+        "fuse",
         "decode",
         "reconstruct",
         "score",
         "total",
     }
-    parts = sum(value for key, value in result.seconds.items() if key != "total")
-    assert parts <= result.seconds["total"] < parts + 0.5
+    parts = sum(value for key, value in result.run.seconds.items() if key != "total")
+    assert parts <= result.run.seconds["total"] < parts + 0.5
     plain = result.to_dict()
     assert plain["points"] == len(result.cloud)
     assert plain["frames"] == 9
@@ -367,7 +367,7 @@ def test_progress_names_the_stages_in_order():
     seen = []
     scan(small("plane"), on_progress=lambda stage, done: seen.append((stage, done)))
     stages = list(dict.fromkeys(stage for stage, _ in seen))
-    assert stages == ["trace", "truth", "relight", "decode", "reconstruct", "score"]
+    assert stages == ["trace", "truth", "relight", "fuse", "decode", "reconstruct", "score"]
     for stage in stages:
         fractions = [done for name, done in seen if name == stage]
         assert fractions == sorted(fractions)
@@ -380,14 +380,43 @@ def test_samples_override_the_scene():
     assert result.transport.samples == result.scene.samples == 4
 
 
-def test_files_hold_the_result(tmp_path, monkeypatch):
+def test_scores_may_be_left_out_and_made_later():
+    with_scores = scanned("step-block")
+    result = scan(small("step-block"), score=False)
+    assert result.scores is None
+    assert "score" not in result.run.seconds
+    assert result.to_dict()["points"] == len(with_scores.cloud)
+    assert "rms_mm" not in result.to_dict()
+    for name in ("score", "floor_rms_px", "fusion"):
+        with pytest.raises(InputError, match="score_scan"):
+            getattr(result, name)
+    assert score_scan(result) == with_scores.scores
+
+
+def test_a_scan_has_a_view_of_each_pair():
+    result = scanned("plane")
+    assert list(result.views) == [("camera", "projector")]
+    assert result.view.phase is result.phase
+    rig = result.scene.rig
+    two = Rig({"left": rig.camera, "right": rig.camera}, rig.projector)
+    with pytest.raises(InputError, match="left, right"):
+        scan(replace(result.scene, rig=two))
+
+
+def test_devices_keep_their_names_through_a_scan():
+    scene = small("plane", divisor=16)
+    named = Rig({"left": scene.rig.camera}, {"beamer": scene.rig.projector}, scene.rig.volume_mm)
+    result = scan(replace(scene, rig=named), score=False)
+    assert result.capture.pair == ("left", "beamer")
+    expected = scan(scene, score=False)
+    np.testing.assert_array_equal(result.cloud.points, expected.cloud.points)
+
+
+def test_files_hold_the_result(tmp_path):
     # The picture takes longer than the scan; test_cli looks at it.
-    monkeypatch.setattr(
-        "slbench.simulate.folder.write_figure", lambda _, path: path.write_bytes(b"picture")
-    )
     result = scanned("step-block")
     folder = tmp_path / "deep" / "out"
-    written = write_scan(result, folder)
+    written = write_scan(result, folder, picture=False)
     assert {path.name for path in written} == {path.name for path in folder.iterdir()}
     assert all(path.exists() for path in written)
     points, fields = read_ply(folder / "cloud.ply")
@@ -405,17 +434,13 @@ def test_files_hold_the_result(tmp_path, monkeypatch):
     assert provenance["parameters"]["patterns"] == result.scene.sequence.to_dict()
     assert provenance["parameters"]["samples"] == 16
     # A second result replaces the first, file by file, and leaves nothing else behind.
-    write_scan(scanned("step-block", noise=False), folder)
+    write_scan(scanned("step-block", noise=False), folder, picture=False)
     assert {path.name for path in folder.iterdir()} == {path.name for path in written}
     assert list(folder.parent.iterdir()) == [folder]
 
 
 def test_a_failing_write_leaves_the_folder_as_it_was(tmp_path, monkeypatch):
-    result = scanned("plane")
-    monkeypatch.setattr(
-        "slbench.simulate.folder.write_figure", lambda _, path: path.write_bytes(b"picture")
-    )
-    write_scan(result, tmp_path / "out")
+    write_scan(scanned("plane"), tmp_path / "out", picture=False)
     before = (tmp_path / "out" / "cloud.ply").read_bytes()
 
     def fail(*_):

@@ -10,11 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scenes_small import small, transport_of, truth_of
+from stages import capture, floor_rms_px, noise_free_coordinates
 
 from slbench.cloud.triangulation import triangulate
 from slbench.detector.emva1288 import Detector
-from slbench.simulate.expose import capture, noise_free_coordinates
-from slbench.simulate.scan import floor_rms_px
 
 REPEATS = 24
 CASES = [("plane", "u", 3), ("plane", "v", 5), ("plane", "uv", 3), ("step-block", "u", 4)]

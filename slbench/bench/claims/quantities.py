@@ -29,8 +29,8 @@ from slbench.core.registry import Registry
 from slbench.objects import REFERENCE
 from slbench.scene.model import Scene
 from slbench.score.features import PlaneScore, SpacingScore, SphereScore, StepScore
+from slbench.score.fusion import FusionScore, Sharpness
 from slbench.score.points import Score
-from slbench.simulate.fusionscore import FusionScore, Sharpness
 from slbench.simulate.scan import Scan
 
 

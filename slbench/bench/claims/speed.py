@@ -40,10 +40,12 @@ def speed_ratios(scene: Scene, seed: int) -> dict[str, float]:
 
     profiles = PatternSequence.parse(_TEXT, scene.sequence.panel).profiles("u")[1]
     render = _renderer(scene)
-    transport = trace(scene, ("u",), seed=seed)
+    parts = scene.objects, scene.rig, scene.light
+    light = functools.partial(trace, *parts, ("u",), samples=scene.samples, seed=seed)
+    transport = light()
     transport.relight(profiles)  # compiles
     works: tuple[Callable[[], object], ...] = (
-        lambda: trace(scene, ("u",), seed=seed),
+        light,
         lambda: transport.relight(profiles),
         lambda: render(seed),
     )

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from slbench.bench.compare.comparison import Comparison, SetResult
-from slbench.bench.compare.repeated import Light, Repeats, scan_repeats
+from slbench.bench.compare.repeated import Repeats, scan_repeats
 from slbench.bench.compare.sets import Equal, PatternSet, pattern_sets
 from slbench.bench.compare.tiles import (
     bootstrap_medians,
@@ -45,6 +45,7 @@ from slbench.core.errors import InputError
 from slbench.core.random import tagged_seed
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
+from slbench.simulate.stack import traced
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
@@ -73,7 +74,7 @@ def compare(
     equal: Equal | None = None,
     seed: int = 0,
     shifts: int | None = None,
-    transport: Light | None = None,
+    transports: Sequence[LightTransport] | None = None,
     truth: GroundTruth | None = None,
     weights: WeightSource = "lit",
     on_progress: Progress | None = None,
@@ -94,8 +95,8 @@ def compare(
     seed : int
     shifts : int, optional
         Phase shifts where a set gives none; as the scene's own patterns by default.
-    transport : LightTransport or sequence of LightTransport, optional
-        Of the scene (one a focus setting), where it is at hand; traced otherwise.
+    transports : sequence of LightTransport, optional
+        Of the scene, one a focus setting, where they are at hand; traced otherwise.
     truth : GroundTruth, optional
         Likewise.
     weights : {"lit", "modulation"}
@@ -140,7 +141,9 @@ def compare(
         seconds[name] = time.perf_counter() - start
 
     with stage("trace"):
-        light = _traced(scene, chosen, seed) if transport is None else transport
+        if transports is None:
+            axes = dict.fromkeys(along for one in chosen for along in one.sequence.variations)
+            transports = traced(scene, tuple(axes), seed=seed)
     with stage("truth"):
         true = _true(scene) if truth is None else truth
     smooth = np.flatnonzero(true.smooth())
@@ -158,7 +161,7 @@ def compare(
             found[one.name] = scan_repeats(
                 scene,
                 one,
-                light,
+                transports,
                 true,
                 smooth,
                 repeats=repeats,
@@ -197,7 +200,6 @@ def compare(
         )
         ranking = ranked(std)
     seconds["total"] = time.perf_counter() - begin
-    traced = light if isinstance(light, LightTransport) else light[0]
     return Comparison(
         scene=scene.name,
         repeats=repeats,
@@ -217,27 +219,17 @@ def compare(
             "scene": scene.specification,
             "sets": {one.name: one.sequence.to_dict() for one in chosen},
             "exposure_shares": {one.name: one.exposure_share for one in chosen},
-            "samples": traced.samples,
+            "samples": transports[0].samples,
             "repeats": repeats,
             "equal": equal,
         },
     )
 
 
-def _traced(scene: Scene, chosen: Sequence[PatternSet], seed: int) -> Light:
-    """Trace the scene, or each of its focus settings, for the axes that the sets code."""
-    from slbench.simulate.render.trace import trace
-
-    axes = tuple(dict.fromkeys(along for one in chosen for along in one.sequence.variations))
-    if scene.focus is None:
-        return trace(scene, axes, seed=seed)
-    return [trace(scene.focused(k), axes, seed=seed) for k in range(len(scene.focus))]
-
-
 def _true(scene: Scene) -> GroundTruth:
     from slbench.simulate.render.groundtruth import ground_truth
 
-    return ground_truth(scene)
+    return ground_truth(scene.objects, scene.rig)
 
 
 def _common(found: dict[str, Repeats], repeats: int) -> NDArray[np.bool_]:

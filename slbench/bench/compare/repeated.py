@@ -24,12 +24,10 @@ from slbench.patterns import PhaseMap
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.features import StepScore, fit_features
-from slbench.simulate.expose import capture
-from slbench.simulate.scan import capture_stack
+from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
-Light = LightTransport | Sequence[LightTransport]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +70,7 @@ class Repeats:
 def scan_repeats(
     scene: Scene,
     given: PatternSet,
-    light: Light,
+    transports: Sequence[LightTransport],
     truth: GroundTruth,
     pixels: NDArray[np.intp],
     *,
@@ -88,8 +86,8 @@ def scan_repeats(
     scene : Scene
         Its patterns and exposure are replaced by the set's.
     given : PatternSet
-    light : LightTransport or sequence of LightTransport
-        With the marginals that the set needs; one a focus setting where the scene has any.
+    transports : sequence of LightTransport
+        With the marginals that the set needs; one a focus setting.
     truth : GroundTruth
     pixels : (P,) int
         Flat indices of the pixels to sum up, ascending: smooth lit surface.
@@ -114,15 +112,10 @@ def scan_repeats(
     for r in range(repeats):
         clock = [time.perf_counter()]
         own = given.seed(seed, r)
-        if isinstance(light, LightTransport):
-            shots = capture(patterned, light, seed=own)
-            clock.append(time.perf_counter())
-            phase = shots.decode()
-        else:
-            stack = capture_stack(patterned, transports=light, seed=own)
-            clock.append(time.perf_counter())
-            fused = stack.fuse(weights)
-            shots, phase = fused.capture, fused.decode()
+        stack = capture_stack(patterned, transports, seed=own)
+        clock.append(time.perf_counter())
+        fused = stack.fuse(weights)
+        shots, phase = fused.capture, fused.decode()
         clock.append(time.perf_counter())
         cloud = triangulate(scene.rig, phase)
         clock.append(time.perf_counter())

@@ -23,5 +23,6 @@ def show(
     from slbench.simulate.render.trace import trace
 
     loaded = load_scene(scene, preview=True, allow_modules=allow_modules)
-    scene_picture(loaded, trace(loaded, ("u",)).white(), out)
+    parts = loaded.objects, loaded.rig, loaded.light
+    scene_picture(loaded, trace(*parts, ("u",), samples=loaded.samples).white(), out)
     print(f"Written to {out}")

@@ -166,7 +166,7 @@ def make_sample(
 def _truth(scene: Scene) -> GroundTruth:
     from slbench.simulate.render.groundtruth import ground_truth
 
-    return ground_truth(scene)
+    return ground_truth(scene.objects, scene.rig)
 
 
 def _too_dark(truth: GroundTruth, share: float) -> bool:
@@ -186,7 +186,9 @@ def _measure(
         for prefix, patterns in specification.prefixes()
     }
     # Frames are made of what is stored, so that anyone can make them again.
-    traced = trace(scene, marginals_of(specification, scene), seed=seed)
+    marginals = marginals_of(specification, scene)
+    parts = scene.objects, scene.rig, scene.light
+    traced = trace(*parts, marginals, samples=scene.samples, seed=seed)
     transport = rounded(traced, specification.weight_bits)
     if any(block.data.size == 0 for block in transport.marginals.values()):
         raise InputError("light transport", "light on the object", "none")
@@ -197,14 +199,18 @@ def _measure(
     for prefix, posed in scenes.items():
         pattern_set, repeat = (int(n) for n in prefix[1:].split("r"))
         own = capture_seed(seed, pattern_set, repeat)
-        shots = capture(posed, transport, seed=own)
+        shots = capture(
+            transport, posed.sequence, posed.rig, posed.detector, posed.exposure, seed=own
+        )
         write_capture(folder, prefix, shots)
         with threadpool_limits(1, "blas"):
             phase = shots.decode()
             cloud = triangulate(posed.rig, phase)
             result = score(cloud, truth, phase, posed.objects, posed.rig)
             if repeat == 0:
-                floors[pattern_set] = floor_rms_px(posed, transport, truth)
+                floors[pattern_set] = floor_rms_px(
+                    transport, posed.sequence, posed.rig.projector, truth
+                )
         captures[prefix] = {
             "patterns": posed.sequence.name,
             "frames": posed.sequence.n_frames,

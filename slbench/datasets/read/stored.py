@@ -30,7 +30,7 @@ from slbench.rig.opencv import read_rig
 from slbench.scene.file import load_scene, load_settings
 from slbench.scene.model import Exposure, Scene
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.expose import capture, exposure
+from slbench.simulate.expose import Shutter, capture, shutter_for
 from slbench.simulate.transport import LightTransport
 
 T = TypeVar("T")
@@ -201,24 +201,25 @@ class Sample:
         if not isinstance(sequence, str | PatternSequence):
             expected = 'text such as "1,10,50@4", or a PatternSequence'
             raise InputError("patterns", expected, repr(sequence)[:60])
-        scene = self._settings
         if isinstance(sequence, str):
             sequence = PatternSequence.parse(sequence, self.transport.panel)
-        changes: dict[str, Any] = {"sequence": sequence}
-        if detector is not None:
-            changes["detector"] = detector
-        if exposure is not None:
-            changes["exposure"] = exposure
+        scene, rig = self._settings, self._settings.rig
         if gamma is not None:
-            projector = replace(scene.rig.projector, gamma=gamma)
-            changes["rig"] = scene.rig.having(projector=projector)
-        light = self._light if detector is None and exposure is None else None
-        scene = replace(scene, **changes)
-        return capture(scene, self.transport, seed=seed, noise=noise, light=light)
+            rig = rig.having(projector=replace(rig.projector, gamma=gamma))
+        return capture(
+            self.transport,
+            sequence,
+            rig,
+            detector or scene.detector,
+            exposure or scene.exposure,
+            seed=seed,
+            noise=noise,
+            shutter=self._shutter if detector is None and exposure is None else None,
+        )
 
     def ready(self) -> Sample:
         """Load what :meth:`capture` needs, and return the sample: for :meth:`Dataset.ahead`."""
-        _ = self.transport, self._settings, self._light
+        _ = self.transport, self._settings, self._shutter
         return self
 
     @cached_property
@@ -230,9 +231,10 @@ class Sample:
             return load_settings(folder / sample.SCENE, allow_modules=self.allow_modules)
 
     @cached_property
-    def _light(self) -> tuple[float, float]:
-        """Photons per unit radiance and exposure time with the scene's own detector."""
-        return exposure(self._settings, self.transport)
+    def _shutter(self) -> Shutter:
+        """The shutter for the scene's own detector."""
+        scene = self._settings
+        return shutter_for(self.transport, scene.rig.camera, scene.detector, scene.exposure)
 
     def member(self, name: str) -> bytes:
         """Return the content of one of the sample's files.

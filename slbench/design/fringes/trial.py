@@ -28,8 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.capture.capture import Capture
-from slbench.capture.stack import WeightSource
+from slbench.capture.stack import FusedCapture, WeightSource
 from slbench.core.errors import InputError
 from slbench.core.random import generator, tagged_seed
 from slbench.design.fringes.chain import any_error, unwrapping_chain
@@ -38,10 +37,8 @@ from slbench.design.fringes.noise import PhaseNoise, estimate_noise
 from slbench.patterns import NoiseModel
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.expose import capture
-from slbench.simulate.repeats import plate_scene, repeated_phases, traced
-from slbench.simulate.scan import capture_stack
-from slbench.simulate.transport import LightTransport
+from slbench.simulate.repeats import plate_scene, repeated_phases
+from slbench.simulate.stack import capture_stack, traced
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -170,8 +167,8 @@ def noise_of_scene(
     sigma = np.full((len(fringes), len(heights)), np.inf)
     for j, height in enumerate(heights):
         plate = plate_scene(scene, height)
-        transports = traced(plate, tagged_seed(seed, _LIGHT, j + 1))
-        truth = ground_truth(plate)
+        transports = traced(plate, ("u",), seed=tagged_seed(seed, _LIGHT, j + 1))
+        truth = ground_truth(plate.objects, plate.rig)
         pixels = _chosen(truth, seed)
         turns = (truth.panel[..., 0].ravel()[pixels] + 0.5) / scene.rig.projector.width
         if len(pixels) == 0:
@@ -241,8 +238,8 @@ def scan_repeatedly(
 
     if repeats < 2:
         raise InputError("repeats", "at least 2, to see noise", repeats)
-    transports = traced(scene, tagged_seed(seed, _LIGHT, 0))
-    truth = ground_truth(scene)
+    transports = traced(scene, ("u",), seed=tagged_seed(seed, _LIGHT, 0))
+    truth = ground_truth(scene.objects, scene.rig)
     alike = [i for i, o in enumerate(scene.objects) if o.material == scene.objects[0].material]
     pixels = np.flatnonzero(truth.smooth() & np.isin(truth.object_id, alike))
     true = truth.panel[..., 0].ravel()[pixels]
@@ -255,15 +252,9 @@ def scan_repeatedly(
         model = _ModelNoise(pixels)
         for r in range(repeats):
             own = tagged_seed(seed, _SCANS, k, r)
-            if isinstance(transports, LightTransport):
-                shots = capture(patterned, transports, seed=own)
-                phase = shots.decode()
-                model.add(shots, 1.0)
-            else:
-                fused = capture_stack(patterned, transports=transports, seed=own).fuse(weights)
-                shots, phase = fused.capture, fused.decode()
-                model.add(shots, fused.weights.noise_gain.ravel()[pixels])
-            error[r] = phase.coordinate["u"].ravel()[pixels] - true
+            fused = capture_stack(patterned, transports, seed=own).fuse(weights)
+            model.add(fused)
+            error[r] = fused.decode().coordinate["u"].ravel()[pixels] - true
             if on_progress:
                 on_progress("scans", (k + (r + 1) / repeats) / len(designs))
         sigma = model.sigma()
@@ -303,13 +294,15 @@ class _ModelNoise:
         self._gain: Any = 0.0
         self._captures = 0
 
-    def add(self, shots: Capture, gain: Any) -> None:
-        """Take a capture whose noise is `gain` times that of single frames."""
+    def add(self, fused: FusedCapture) -> None:
+        """Take a scan's capture."""
+        shots = fused.capture
         if not self._captures:
             self._sum = np.zeros((len(shots.frames), len(self._pixels)))
             self._noise, self._sets = shots.noise or NoiseModel(), shots.sequence.fringe_sets()
         self._sum += shots.frames.reshape(len(shots.frames), -1)[:, self._pixels]
-        self._gain = self._gain + gain
+        gain = np.broadcast_to(fused.noise_gain, shots.frames.shape[1:])
+        self._gain = self._gain + gain.ravel()[self._pixels]
         self._captures += 1
 
     def sigma(self) -> Array:

@@ -19,7 +19,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import spearmanr
 
 from slbench import objects
-from slbench.cloud.triangulation import triangulate
 from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import atomic_path
@@ -29,7 +28,7 @@ from slbench.patterns import PatternSequence
 from slbench.rig import Pose
 from slbench.scene.model import Scene, SceneObject
 from slbench.score.points import point_errors
-from slbench.simulate.expose import capture
+from slbench.simulate.scan import scan
 
 Array = NDArray[np.float64]
 
@@ -92,9 +91,6 @@ def rendered_errors(
         RMS of the distance from the true point and of its z component, over smooth lit
         surface of all heights; NaN where nothing was measured.
     """
-    from slbench.simulate.render.groundtruth import ground_truth
-    from slbench.simulate.render.trace import trace
-
     rig = hardware.rig(configuration)
     size = hardware.volume_mm
     plate = objects.build_artefact(
@@ -111,9 +107,8 @@ def rendered_errors(
             hardware.detector,
             samples=samples,
         )
-        transport = trace(scene, seed=seed + k)
-        truth = ground_truth(scene)
-        cloud = triangulate(rig, capture(scene, transport, seed=seed + k, noise=noise).decode())
+        result = scan(scene, seed=seed + k, noise=noise, score=False)
+        cloud, truth = result.cloud, result.truth
         error = point_errors(cloud, truth)[truth.smooth()[cloud.pixels[:, 1], cloud.pixels[:, 0]]]
         squares.append(error**2)
     everything = np.concatenate(squares)

@@ -10,9 +10,9 @@ from matplotlib.figure import Figure
 from slbench.core.document import Cell, Cloud, Page, Part, Picture, Table, Text
 from slbench.core.io import provenance
 from slbench.report.plots.scan import panels
+from slbench.score.fusion import FusionScore
 from slbench.score.points import Score, point_errors
 from slbench.simulate.folder import scan_parameters
-from slbench.simulate.fusionscore import FusionScore
 from slbench.simulate.scan import Scan
 
 _UM = 1e3
@@ -43,18 +43,19 @@ def scan_page(result: Scan) -> Page:
     description = str(result.scene.specification.get("description", ""))
     parts: list[Part] = [Text("Scene", description)] if description else []
     parts.append(Table("Result", ("quantity", "value"), rows))
-    parts += feature_tables(result.score)
-    if result.fusion is not None:
-        parts.append(_fusion_table(result.fusion))
+    if result.scores is not None:
+        parts += feature_tables(result.score)
+        if result.fusion is not None:
+            parts.append(_fusion_table(result.fusion))
     parts.append(scan_cloud(result))
     parts += _pictures(result)
     title = f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}"
-    return Page(title, tuple(parts), provenance(scan_parameters(result), result.seed))
+    return Page(title, tuple(parts), provenance(scan_parameters(result), result.run.seed))
 
 
 def seconds(result: Scan) -> str:
     """Return the time that each stage took, as it is shown."""
-    return ", ".join(f"{stage} {value:.2f}" for stage, value in result.seconds.items())
+    return ", ".join(f"{stage} {value:.2f}" for stage, value in result.run.seconds.items())
 
 
 def feature_tables(score: Score) -> list[Table]:

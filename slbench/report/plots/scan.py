@@ -29,13 +29,14 @@ def summary(scan: Scan) -> Figure:
     figure = Figure(figsize=(15.0, 8.4), dpi=100, layout="constrained")
     for axes, draw in zip(figure.subplots(2, 3).flat, panels(scan), strict=True):
         draw(axes)
-    score = scan.score
-    figure.suptitle(
-        f"{scan.scene.name}   {{{scan.scene.sequence.name}}}   {score.points} points, "
-        f"{100 * score.completeness:.1f} % of lit pixels, median error "
-        f"{1e3 * score.median_abs_mm:.1f} µm, renderer's floor {scan.floor_rms_px:.3f} px",
-        parse_math=False,
-    )
+    title = f"{scan.scene.name}   {{{scan.scene.sequence.name}}}   {len(scan.cloud)} points"
+    if scan.scores is not None:
+        score = scan.score
+        title += (
+            f", {100 * score.completeness:.1f} % of lit pixels, median error "
+            f"{1e3 * score.median_abs_mm:.1f} µm, renderer's floor {scan.floor_rms_px:.3f} px"
+        )
+    figure.suptitle(title, parse_math=False)
     return figure
 
 
@@ -110,6 +111,8 @@ def _histogram(axes: Any, scan: Scan, error_um: NDArray[np.float64], limit: floa
         density = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
         axes.plot(x, density, "C3")
         axes.set_title(f"Height errors; red: detector noise alone, σ = {sigma:.1f} µm")
+    if scan.scores is None:
+        return
     lines = [f"step {s.nominal_mm:g} mm:\n{s.measured_mm:.4f} mm" for s in scan.score.steps]
     lines += [
         f"radius {s.nominal_radius_mm:g} mm:\n{s.radius_mm:.4f} mm" for s in scan.score.spheres

@@ -41,7 +41,7 @@ def scene_sheet(path: str | Path) -> None:
 
     def draw(axes: Any, name: str) -> None:
         scene = load_scene(name, preview=True)
-        view = trace(scene, ("u",)).white()
+        view = trace(scene.objects, scene.rig, scene.light, ("u",), samples=scene.samples).white()
         axes.imshow(view, cmap="gray", vmin=0.0, vmax=np.percentile(view, 99.5))
         axes.set_title(name, fontsize=9)
         axes.set_axis_off()

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.scene.model import Scene
+from slbench.rig import Rig
+from slbench.scene.model import SceneObject
 from slbench.scene.truth import GroundTruth, Status
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.translate import geometry, shape_indices, shapes
@@ -24,12 +25,14 @@ Array = NDArray[np.float64]
 _PIXELS_PER_PASS = 1 << 19
 
 
-def ground_truth(scene: Scene) -> GroundTruth:
-    """Compute the ground truth of a scene.
+def ground_truth(objects: tuple[SceneObject, ...], rig: Rig) -> GroundTruth:
+    """Compute the ground truth of objects as a camera sees them and a projector lights them.
 
     Parameters
     ----------
-    scene : Scene
+    objects : tuple of SceneObject
+    rig : Rig
+        One camera and one projector.
 
     Returns
     -------
@@ -41,7 +44,7 @@ def ground_truth(scene: Scene) -> GroundTruth:
     BackendError
         If Mitsuba cannot run here.
     """
-    camera = scene.rig.camera
+    camera = rig.camera
     shape = (camera.height, camera.width)
     truth = GroundTruth(
         point=np.full((*shape, 3), np.nan),
@@ -53,7 +56,7 @@ def ground_truth(scene: Scene) -> GroundTruth:
         camera_coc=np.full(shape, np.nan),
         projector_coc=np.full(shape, np.nan),
     )
-    rays = _Rays(scene)
+    rays = _Rays(objects, rig)
     step = max(1, _PIXELS_PER_PASS // camera.width)
     for first in range(0, camera.height, step):
         rays.run(truth, slice(first, min(first + step, camera.height)))
@@ -61,11 +64,11 @@ def ground_truth(scene: Scene) -> GroundTruth:
 
 
 class _Rays:
-    def __init__(self, scene: Scene) -> None:
-        self.camera, self.projector = scene.rig.camera, scene.rig.projector
-        self.geometry = geometry(scene)
+    def __init__(self, objects: tuple[SceneObject, ...], rig: Rig) -> None:
+        self.camera, self.projector = rig.camera, rig.projector
+        self.geometry = geometry(objects)
         self.indices = shape_indices(self.geometry)
-        self.shapes = shapes(scene.objects)
+        self.shapes = shapes(objects)
 
     def run(self, truth: GroundTruth, rows: slice) -> None:
         v, u = np.mgrid[rows, 0 : self.camera.width].astype(np.float64)

@@ -27,7 +27,8 @@ from numpy.typing import NDArray
 from slbench.core.random import derived_seed
 from slbench.core.types import Samples, Seed
 from slbench.core.values import checked
-from slbench.scene.model import Scene
+from slbench.rig import Rig
+from slbench.scene.model import Light, SceneObject
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.optics import PanelOptics, opaque, opaque_transform
 from slbench.simulate.render.translate import geometry, pose_matrix
@@ -41,24 +42,27 @@ Axes = tuple[Literal["u", "v", "uv"], ...]
 
 @checked
 def trace(
-    scene: Scene,
-    marginals: Axes | None = None,
+    objects: tuple[SceneObject, ...],
+    rig: Rig,
+    light: Light,
+    marginals: Axes,
     *,
-    samples: Samples | None = None,
+    samples: Samples,
     seed: Seed = 0,
     on_progress: Callable[[float], None] | None = None,
 ) -> LightTransport:
-    """Trace the light transport of a scene.
+    """Trace the light transport from a projector over the objects of a scene to a camera.
 
     Parameters
     ----------
-    scene : Scene
-    marginals : tuple of {"u", "v", "uv"}, optional
-        What to keep: sums over panel columns, over rows, or the full matrix.  By default what
-        the scene's patterns vary along.
-    samples : int, optional
-        Monte Carlo samples a pixel, the scene's if not given; rounded up to a full grid of
-        strata.
+    objects : tuple of SceneObject
+    rig : Rig
+        One camera and one projector.
+    light : Light
+    marginals : tuple of {"u", "v", "uv"}
+        What to keep: sums over panel columns, over rows, or the full matrix.
+    samples : int
+        Monte Carlo samples a pixel; rounded up to a full grid of strata.
     seed : int
     on_progress : callable, optional
         Called with the finished fraction after each pass.
@@ -73,19 +77,17 @@ def trace(
     BackendError
         If Mitsuba cannot run here.
     """
-    chosen: Axes = marginals or scene.sequence.variations
-    count = scene.samples if samples is None else samples
-    tracer = _Tracer(scene, chosen, count, seed)
-    camera, projector = scene.rig.camera, scene.rig.projector
+    tracer = _Tracer(objects, rig, light, marginals, samples, seed)
+    camera, projector = rig.camera, rig.projector
     # Pixels that strong distortion folds away see nothing.
     fall_off = np.nan_to_num(camera.relative_illumination(camera.pixel_grid()).ravel())
-    blocks: dict[Marginal, list[SparseRows]] = {name: [] for name in chosen}
+    blocks: dict[Marginal, list[SparseRows]] = {name: [] for name in marginals}
     ambient = np.zeros(camera.width * camera.height, np.float32)
     for first, last in tracer.passes():
         tracer.run(first, last, blocks, ambient)
         if on_progress:
             on_progress(last / ambient.size)
-    rows = {name: SparseRows.concatenate(blocks[name]) for name in chosen}
+    rows = {name: SparseRows.concatenate(blocks[name]) for name in marginals}
     if np.any(fall_off != 1.0):
         rows = {name: block.scaled(fall_off) for name, block in rows.items()}
         ambient *= fall_off.astype(np.float32)
@@ -100,12 +102,19 @@ def trace(
 class _Tracer:
     """The kernel and its buffers."""
 
-    def __init__(self, scene: Scene, marginals: Axes, samples: int, seed: int) -> None:
-        rig = scene.rig
+    def __init__(
+        self,
+        objects: tuple[SceneObject, ...],
+        rig: Rig,
+        light: Light,
+        marginals: Axes,
+        samples: int,
+        seed: int,
+    ) -> None:
         self.marginals = marginals
         self.seed = seed
-        self.bounces = scene.light.bounces
-        self.ambient = scene.light.ambient_w_per_mm2 / np.pi
+        self.bounces = light.bounces
+        self.ambient = light.ambient_w_per_mm2 / np.pi
         self.camera = PanelOptics(rig.camera)
         self.projector = PanelOptics(rig.projector)
         self.camera_to_world = opaque_transform(pose_matrix(rig.camera.pose))
@@ -114,7 +123,7 @@ class _Tracer:
         self.intensity = opaque(rig.projector.axial_intensity)
         self.width, self.height = rig.camera.width, rig.camera.height
         self.panel = (rig.projector.width, rig.projector.height)
-        self.geometry = geometry(scene)
+        self.geometry = geometry(objects)
         self.samples = self._sampler(samples).sample_count()
 
     @staticmethod

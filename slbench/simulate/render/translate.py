@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.io import atomic_folder, write_exr
-from slbench.rig import Device, Pose
+from slbench.rig import Camera, Device, Pose, Projector
 from slbench.scene.bsdfs import grey
 from slbench.scene.materials import Material
-from slbench.scene.model import Scene, SceneObject
+from slbench.scene.model import Light, Scene, SceneObject
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.optics import properties_from_device
 from slbench.simulate.render.plugins.register import register
@@ -90,13 +90,13 @@ def shapes(objects: Iterable[SceneObject]) -> list[Shape]:
     return found
 
 
-def geometry(scene: Scene) -> Any:
-    """Return a Mitsuba scene of :func:`shapes` alone.
+def geometry(objects: tuple[SceneObject, ...]) -> Any:
+    """Return a Mitsuba scene of the objects' :func:`shapes` alone.
 
     The last one is kept: truth, light and every setting of a focus stack see the same objects,
     and building their meshes and trees takes as long as tracing a small picture.
     """
-    return _geometry(scene.objects, mi.variant())
+    return _geometry(objects, mi.variant())
 
 
 @lru_cache(maxsize=1)  # objects are equal only if they are the same
@@ -149,9 +149,8 @@ def beyond_stock(device: Device) -> list[str]:
     return [name for name, present in findings.items() if present]
 
 
-def camera_dict(scene: Scene, samples: int) -> dict[str, Any]:
-    """Return the camera as a Mitsuba sensor."""
-    camera = scene.rig.camera
+def camera_dict(camera: Camera, samples: int) -> dict[str, Any]:
+    """Return a camera as a Mitsuba sensor."""
     sensor: dict[str, Any] = {
         "to_world": _to_world(camera.pose),
         "film": {
@@ -177,9 +176,8 @@ def camera_dict(scene: Scene, samples: int) -> dict[str, Any]:
     }
 
 
-def projector_dict(scene: Scene, picture: dict[str, Any]) -> dict[str, Any]:
-    """Return the projector as a Mitsuba emitter that shows a texture."""
-    projector = scene.rig.projector
+def projector_dict(projector: Projector, picture: dict[str, Any]) -> dict[str, Any]:
+    """Return a projector as a Mitsuba emitter that shows a texture."""
     emitter: dict[str, Any] = {"to_world": _to_world(projector.pose), "irradiance": picture}
     if beyond_stock(projector):
         return {
@@ -197,9 +195,9 @@ def projector_dict(scene: Scene, picture: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _picture(scene: Scene, pattern: ArrayLike) -> NDArray[np.float32]:
+def _picture(projector: Projector, pattern: ArrayLike) -> NDArray[np.float32]:
     panel = np.asarray(pattern, dtype=np.float32)
-    expected = (scene.rig.projector.height, scene.rig.projector.width)
+    expected = (projector.height, projector.width)
     if panel.shape != expected or not np.all(np.isfinite(panel)):
         raise InputError("pattern", f"a finite picture of shape {expected}", panel.shape)
     return panel
@@ -224,7 +222,7 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
     register()
     picture = {
         "type": "bitmap",
-        "bitmap": mi.Bitmap(_picture(scene, pattern)[..., None]),
+        "bitmap": mi.Bitmap(_picture(scene.rig.projector, pattern)[..., None]),
         # A DMD pixel is a square of one value.
         "raw": True,
         "filter_type": "nearest",
@@ -234,17 +232,17 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
     result: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 2 + scene.light.bounces, "rr_depth": 1000},
-        "camera": camera_dict(scene, samples or scene.samples),
-        "projector": projector_dict(scene, picture),
+        "camera": camera_dict(scene.rig.camera, samples or scene.samples),
+        "projector": projector_dict(scene.rig.projector, picture),
     }
     result |= {shape.name: shape.mesh() for shape in shapes(scene.objects)}
     if scene.light.ambient_w_per_mm2 > 0:
-        result["ambient"] = _ambient(scene)
+        result["ambient"] = _ambient(scene.light)
     return result
 
 
-def _ambient(scene: Scene) -> dict[str, Any]:
-    return {"type": "constant", "radiance": grey(scene.light.ambient_w_per_mm2 / np.pi)}
+def _ambient(light: Light) -> dict[str, Any]:
+    return {"type": "constant", "radiance": grey(light.ambient_w_per_mm2 / np.pi)}
 
 
 def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]:
@@ -276,7 +274,7 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
                 "a device that Mitsuba's stock plugins can express",
                 " and ".join(reasons),
             )
-    target, panel = Path(path), _picture(scene, pattern)
+    target, panel = Path(path), _picture(scene.rig.projector, pattern)
     panel_name = f"{target.stem}-panel.exr"
     names = [target.name, panel_name]
     picture = {
@@ -289,11 +287,11 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
     content: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 2 + scene.light.bounces, "rr_depth": 1000},
-        "camera": camera_dict(scene, scene.samples),
-        "projector": projector_dict(scene, picture),
+        "camera": camera_dict(scene.rig.camera, scene.samples),
+        "projector": projector_dict(scene.rig.projector, picture),
     }
     if scene.light.ambient_w_per_mm2 > 0:
-        content["ambient"] = _ambient(scene)
+        content["ambient"] = _ambient(scene.light)
     with atomic_folder(target.parent) as temporary:
         write_exr(temporary / panel_name, {"Y": panel})
         for shape in shapes(scene.objects):

@@ -29,9 +29,9 @@ from slbench.rig import Pose, Rig
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene
 from slbench.score.points import point_errors, score
-from slbench.simulate.expose import capture
 from slbench.simulate.repeats import plate_scene
 from slbench.simulate.scan import scan
+from slbench.simulate.stack import capture_stack, traced
 from slbench.thesis import published as thesis
 from slbench.thesis.ch6.findings import object_finding, plane_finding, steps_finding
 from slbench.thesis.ch6.report import (
@@ -156,7 +156,6 @@ def plane_sweep(
     report : callable
     """
     from slbench.simulate.render.groundtruth import ground_truth
-    from slbench.simulate.render.trace import trace
 
     heights = np.linspace(-3.0, 3.0, positions)
     result = np.empty((2, len(rigs), positions))
@@ -166,10 +165,11 @@ def plane_sweep(
         for k, height in enumerate(heights):
             plate = plate_scene(replace(scene, rig=rig), float(height))
             own = tagged_seed(seed, _PLANE, i, k)
-            transport, truth = trace(plate, seed=own), ground_truth(plate)
+            transports, truth = traced(plate, seed=own), ground_truth(plate.objects, rig)
             smooth = truth.smooth()
             for j, noise in enumerate((True, False)):
-                cloud = triangulate(rig, capture(plate, transport, seed=own, noise=noise).decode())
+                stack = capture_stack(plate, transports, seed=own, noise=noise)
+                cloud = triangulate(rig, stack.fuse().decode())
                 on = smooth[cloud.pixels[:, 1], cloud.pixels[:, 0]]
                 result[j, i, k] = np.sqrt(np.mean(point_errors(cloud, truth)[on, 2] ** 2))
                 if noise:
@@ -193,9 +193,6 @@ def step_heights(
         Both rigs meet the block at the same places.
     report : callable
     """
-    from slbench.simulate.render.groundtruth import ground_truth
-    from slbench.simulate.render.trace import trace
-
     heights = np.empty((len(rigs), repeats, len(thesis.BLOCK_5_MM)))
     for k in range(repeats):
         own = tagged_seed(seed, _STEPS, k)
@@ -205,10 +202,9 @@ def step_heights(
         )
         for i, rig in enumerate(rigs):
             placed = replace(scene, rig=rig, objects=moved)
-            phase = capture(placed, trace(placed, seed=own), seed=own).decode()
-            cloud = triangulate(rig, phase)
-            found = score(cloud, ground_truth(placed), phase, placed.objects, rig).steps
-            measured = {s.nominal_mm: s.measured_mm for s in found}
+            one = scan(placed, seed=own, score=False)
+            found = score(one.cloud, one.truth, one.phase, placed.objects, rig)
+            measured = {s.nominal_mm: s.measured_mm for s in found.steps}
             heights[i, k] = [measured[nominal] for nominal in thesis.BLOCK_5_MM]
             report("steps", (k + (i + 1) / len(rigs)) / repeats)
     return StepHeights(heights)
@@ -229,7 +225,7 @@ def _feasible(size: _Size) -> Rig:
 
 def object_scan(scene: Scene, seed: int) -> ObjectScan:
     """Scan a scene and keep what lies on its first object."""
-    result = scan(scene, seed=seed)
+    result = scan(scene, seed=seed, score=False)
     cloud, truth = result.cloud, result.truth
     rows, columns = cloud.pixels[:, 1], cloud.pixels[:, 0]
     wanted = truth.lit & (truth.object_id == 0)

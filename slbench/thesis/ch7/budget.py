@@ -29,6 +29,7 @@ from slbench.bench.compare.comparison import Comparison, SetResult
 from slbench.detector.emva1288 import Detector
 from slbench.scene.model import Light, Scene
 from slbench.scene.truth import GroundTruth, Status
+from slbench.simulate.stack import traced
 from slbench.simulate.transport import LightTransport
 from slbench.thesis.ch7.twoterm import detector_of, exponent
 from slbench.thesis.published import FINEST, SETS
@@ -236,23 +237,21 @@ def error_budget(
     -------
     Budget
     """
-    from slbench.simulate.render.trace import trace
-
     chosen = variations(scene, transport, vibration_px=vibration_px, repeats=repeats)
-    lights: dict[str, LightTransport] = {"apertures": transport}
+    lights: dict[str, tuple[LightTransport, ...]] = {"apertures": (transport,)}
     rows: list[Row] = []
     floor: Comparison | None = None
     for k, one in enumerate(chosen):
         if one.light not in lights:
             own = seed + 1 if one.light == "other samples" else seed
-            lights[one.light] = trace(one.scene, ("u",), seed=own)
+            lights[one.light] = traced(one.scene, ("u",), seed=own)
         found = compare(
             one.scene,
             SETS,
             # Two scans of a steady source are the same scan, twice.
             repeats=max(2, one.repeats),
             seed=seed,
-            transport=lights[one.light],
+            transports=lights[one.light],
             truth=truth,
         )
         floor = floor or found

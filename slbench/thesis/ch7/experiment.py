@@ -29,6 +29,7 @@ from slbench.detector.emva1288 import Detector
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
+from slbench.simulate.stack import traced
 from slbench.simulate.transport import LightTransport
 from slbench.thesis import published as thesis
 from slbench.thesis.ch7 import report
@@ -110,7 +111,7 @@ def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
     block = views[STEP_BLOCK]
     budget = error_budget(
         block.scene,
-        block.transport,
+        block.transports[0],
         block.truth,
         vibration_px=_TRIED_PX / size.divisor,
         repeats=size.repeats,
@@ -125,7 +126,7 @@ def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
     dim = shake(alone, dim_detector, size, tagged_seed(seed, _DIM))
     tell("vibration", 1.0)
     timed = _View.of(STEP_BLOCK, 1, _TIMING_SAMPLES, seed)
-    timing = time_sets(timed.scene, timed.transport, TIMED, turns=size.turns, seed=seed)
+    timing = time_sets(timed.scene, timed.transports[0], TIMED, turns=size.turns, seed=seed)
     findings = (
         *itertools.chain.from_iterable(std_findings(name, c) for name, c in found.items()),
         heights_finding(found[STEP_BLOCK], budget, seed),
@@ -185,21 +186,21 @@ class _View:
     """A scene, its light, and the truth of its object alone."""
 
     scene: Scene
-    transport: LightTransport
+    transports: tuple[LightTransport, ...]
     truth: GroundTruth
 
     @classmethod
     def of(cls, name: str, divisor: int, samples: int, seed: int) -> _View:
         from slbench.simulate.render.groundtruth import ground_truth
-        from slbench.simulate.render.trace import trace
 
         scene = load_scene(name).coarser(divisor, samples)
-        return cls(scene, trace(scene, ("u",), seed=seed), object_truth(ground_truth(scene)))
+        truth = ground_truth(scene.objects, scene.rig)
+        return cls(scene, traced(scene, ("u",), seed=seed), object_truth(truth))
 
     def compare(self, scene: Scene, repeats: int, seed: int) -> Comparison:
         """Compare the sets on this scene or one that differs in what light does not see."""
         return compare(
-            scene, SETS, repeats=repeats, seed=seed, transport=self.transport, truth=self.truth
+            scene, SETS, repeats=repeats, seed=seed, transports=self.transports, truth=self.truth
         )
 
     def predicted_um(self, vibration_px: float) -> float:

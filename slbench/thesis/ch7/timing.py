@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slbench.bench.statistics import Interval, bootstrap_interval
 from slbench.cloud.triangulation import triangulate
 from slbench.scene.model import Scene
-from slbench.simulate.expose import capture
+from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
@@ -79,7 +79,10 @@ def time_sets(
         Every set is timed so often, after one turn that does not count.
     seed : int
     """
-    captures = [capture(scene.with_patterns(text), transport, seed=seed) for text in sets]
+    captures = [
+        capture_stack(scene.with_patterns(text), (transport,), seed=seed).captures[0]
+        for text in sets
+    ]
     times = np.empty((2, len(sets), turns))
     for turn in range(-1, turns):
         for k, shots in enumerate(captures):

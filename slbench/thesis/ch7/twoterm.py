@@ -34,8 +34,8 @@ from slbench.core.errors import InputError
 from slbench.detector.emva1288 import Detector
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.expose import capture
 from slbench.simulate.repeats import plate_scene
+from slbench.simulate.stack import capture_stack, traced
 
 Array = NDArray[np.float64]
 
@@ -153,19 +153,15 @@ def noisy_detector(scene: Scene, noise_rad: float, seed: int) -> Detector:
     seed : int
     """
     from slbench.simulate.render.groundtruth import ground_truth
-    from slbench.simulate.render.trace import trace
 
     plate = plate_scene(scene, 0.0).with_patterns("1")
-    transport, smooth = trace(plate, seed=seed), ground_truth(plate).smooth()
+    light, smooth = traced(plate, seed=seed), ground_truth(plate.objects, plate.rig).smooth()
     turn = 2.0 * math.pi / plate.rig.projector.width
 
     def excess(log_well: float) -> float:
         detector = _with_well(detector_of(scene), math.exp(log_well))
-        sigma = (
-            capture(replace(plate, detector=detector), transport, seed=seed)
-            .decode(min_modulation=0.0)
-            .sigma["u"]
-        )
+        stack = capture_stack(replace(plate, detector=detector), light, seed=seed)
+        sigma = stack.fuse().decode(min_modulation=0.0).sigma["u"]
         return math.log(float(np.nanmedian(sigma[smooth])) * turn / noise_rad)
 
     low, high = (math.log(well) for well in _WELLS)

@@ -21,7 +21,7 @@ from slbench.core.random import generator, tagged_seed
 from slbench.patterns import PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene
-from slbench.simulate.scan import capture_stack
+from slbench.simulate.stack import capture_stack
 from slbench.thesis.ch8.results import PlaneFit, PlanePosition
 
 Array = NDArray[np.float64]

@@ -26,7 +26,7 @@ from slbench.core.random import generator, tagged_seed
 from slbench.patterns import PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene
-from slbench.simulate.scan import capture_stack
+from slbench.simulate.stack import capture_stack
 from slbench.thesis.ch8.results import Merged, View
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ def measure_view(
     points, (v, u), extrapolated = _calibrated(model, phase, to_model, scene.rig.volume_mm)
     if not len(points):
         raise InputError(f"scene {scene.name}: view", "points in the measurement volume", "none")
-    truth = ground_truth(placed)
+    truth = ground_truth(placed.objects, placed.rig)
     error = np.where(truth.lit[v, u, None], points - truth.point[v, u], np.nan)
     return View(
         points.astype(np.float32),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scenes_small import small, transport_of, truth_of
 from scipy.stats import chi2, quantile_test
+from stages import capture
 
 from slbench.bench.compare.compare import compare
 from slbench.bench.compare.sets import pattern_sets
@@ -31,7 +32,6 @@ from slbench.core.io import read_exr, read_json
 from slbench.patterns import Fringes, relative_phase
 from slbench.report.pages.compare import comparison_page, draw, write_comparison
 from slbench.score.points import score
-from slbench.simulate.expose import capture
 
 THREE = ("1,10,50", "1,2,4", "gray")
 
@@ -49,7 +49,7 @@ def small_comparison(
         repeats=repeats,
         seed=seed,
         equal=equal,
-        transport=transport_of(name),
+        transports=(transport_of(name),),
         truth=truth_of(name),
     )
 
@@ -179,7 +179,7 @@ class TestDraws:
             small("step-block"),
             THREE,
             repeats=6,
-            transport=transport_of("step-block"),
+            transports=(transport_of("step-block"),),
             truth=truth_of("step-block"),
         )
         assert values_of(again) == first
@@ -432,7 +432,7 @@ class TestBadInput:
     )
     def test_is_refused_before_any_light_is_traced(self, sets, options, words, monkeypatch):
         monkeypatch.setattr(
-            "slbench.bench.compare.compare._traced", lambda *_: pytest.fail("traced")
+            "slbench.bench.compare.compare.traced", lambda *_, **__: pytest.fail("traced")
         )
         with pytest.raises(InputError, match=words):
             compare(small("step-block"), sets, **options)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from stages import shutter_for, trace
 from target_images import centroid, dots_image, matched, noisy
 
 from slbench.calibration.target.detect import Dots, detect_dots
@@ -11,8 +12,6 @@ from slbench.calibration.target.perspective import circle_centre_bias
 from slbench.core.errors import InputError
 from slbench.rig import Pose
 from slbench.scene.file import load_scene
-from slbench.simulate.expose import exposure
-from slbench.simulate.render.trace import trace
 
 
 def grid(radius: float, n: int, seed: int) -> tuple[np.ndarray, tuple[int, int]]:
@@ -181,7 +180,7 @@ def rendered(divisor: int, z_mm: float, samples: int) -> tuple[np.ndarray, np.nd
     pose = Pose(grid_at.pose.rotation, grid_at.pose.position + np.array([0.0, 0.0, z_mm]))
     scene = replace(scene, objects=(replace(grid_at, pose=pose),))
     transport = trace(scene, ("u",))
-    scale, seconds = exposure(scene, transport)
+    scale, seconds = shutter_for(scene, transport)
     photons = transport.white().astype(np.float64) * scale
     frame = scene.detector.expose(photons, seconds, np.random.default_rng(0))
     dots = detect_dots(frame)

@@ -5,6 +5,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
+from stages import capture, ground_truth, trace
 
 from slbench.core.errors import InputError
 from slbench.design.fringes.bounded import bounded_sequence
@@ -13,9 +14,6 @@ from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.trial import _spread, noise_of_scene, scan_repeatedly
 from slbench.patterns import PatternSequence, unwrap
 from slbench.scene.file import load_scene
-from slbench.simulate.expose import capture
-from slbench.simulate.render.groundtruth import ground_truth
-from slbench.simulate.render.trace import trace
 from slbench.simulate.repeats import plate_scene, repeated_phases
 
 REPEATS = 12
@@ -87,7 +85,7 @@ def test_repeated_phases_are_those_of_whole_frames(block):
     plate = plate_scene(block, 0.0)
     transport = trace(plate, ("u",))
     pixels = np.flatnonzero(ground_truth(plate).smooth())
-    phases, modulation = repeated_phases(plate, transport, [1, 8], pixels, repeats=2)
+    phases, modulation = repeated_phases(plate, (transport,), [1, 8], pixels, repeats=2)
     coordinate = (np.mod(phases[:, 0], 2 * np.pi) / (2 * np.pi)) * transport.panel[0] - 0.5
     true = ground_truth(plate).panel[..., 0].ravel()[pixels]
     # The noise of one fringe is 1.2 px here; five deviations of the mean of thousands.
@@ -221,7 +219,7 @@ def two_step_deviations(scene, noise, repeats, others=()):
         pixels = np.flatnonzero(truth.smooth())[::5]
         true = truth.panel[..., 0].ravel()[pixels]
         phases, _ = repeated_phases(
-            plate, transport, counts, pixels, repeats=repeats, seed=5000 + 100 * j
+            plate, (transport,), counts, pixels, repeats=repeats, seed=5000 + 100 * j
         )
         # Away from the ends of the panel, where one fringe starts again.
         inside = (true > 0.1 * width) & (true < 0.9 * width)

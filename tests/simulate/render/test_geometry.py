@@ -22,10 +22,10 @@ from helpers_scene import (
     scene,
     square_outline,
 )
+from stages import trace
 
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
 from slbench.simulate.render.mitsuba import mi
-from slbench.simulate.render.trace import trace
 from slbench.simulate.render.translate import mitsuba_dict
 
 ERRORS = {"distortion": DISTORTION, "tilt_rad": TILT}

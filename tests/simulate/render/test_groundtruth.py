@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from stages import ground_truth
 
 from slbench import objects
 from slbench.core.errors import InputError
@@ -14,7 +15,6 @@ from slbench.patterns import PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
 from slbench.scene.model import Scene, SceneObject
 from slbench.scene.truth import GroundTruth, Status
-from slbench.simulate.render.groundtruth import ground_truth
 
 DISTORTION = (-0.2, 0.08, 0.002, -0.003, 0.02)
 TILT = (0.05, -0.03)

@@ -15,6 +15,7 @@ from helpers_scene import (
     projector,
     scene,
 )
+from stages import trace
 
 from slbench.rig import Camera, Lens, Rig
 from slbench.simulate.render.mitsuba import dr, mi
@@ -25,7 +26,6 @@ from slbench.simulate.render.plugins.optics import (
     properties_from_device,
 )
 from slbench.simulate.render.plugins.register import register
-from slbench.simulate.render.trace import trace
 from slbench.simulate.render.translate import mitsuba_dict
 
 register()

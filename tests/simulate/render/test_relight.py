@@ -20,6 +20,7 @@ from helpers_scene import (
     step_scene,
     with_bounces,
 )
+from stages import trace
 
 import slbench.simulate.render.trace as tracing
 from slbench.core.errors import InputError
@@ -27,7 +28,6 @@ from slbench.scene.bsdfs import bsdfs
 from slbench.scene.materials import Material
 from slbench.scene.model import Light
 from slbench.simulate.render.mitsuba import mi
-from slbench.simulate.render.trace import trace
 from slbench.simulate.render.translate import mitsuba_dict
 
 ALPHA = 1e-4

@@ -16,6 +16,7 @@ from helpers_scene import (
     scene,
     step_scene,
 )
+from stages import ground_truth, trace
 
 from slbench.core.errors import InputError
 from slbench.rig import Lens, Pose, Rig
@@ -23,9 +24,7 @@ from slbench.scene.bsdfs import Diffuse, RoughConductor, bsdfs
 from slbench.scene.materials import Material
 from slbench.scene.model import Light, SceneObject
 from slbench.simulate.render import translate
-from slbench.simulate.render.groundtruth import ground_truth
 from slbench.simulate.render.mitsuba import dr, mi
-from slbench.simulate.render.trace import trace
 from slbench.simulate.render.translate import (
     beyond_stock,
     bsdf_dict,
@@ -159,7 +158,7 @@ class TestParameters:
 class TestGeometry:
     def test_shapes_are_the_objects_in_order(self):
         value = stock_scene()
-        loaded = geometry(value)
+        loaded = geometry(value.objects)
         assert sorted(shape_indices(loaded).values()) == [0, 1]
         for shape, item in zip(loaded.shapes(), value.objects, strict=True):
             params = mi.traverse(shape)
@@ -173,7 +172,7 @@ class TestGeometry:
     def test_hits_name_their_object_and_have_flat_faces(self):
         """Down onto the block and beside it."""
         value = stock_scene()
-        loaded = geometry(value)
+        loaded = geometry(value.objects)
         index = shape_indices(loaded)
         middle = value.objects[0].artefact.mesh.bounds.mean(axis=0)
         origin = mi.Point3f([middle[0], 140.0], [middle[1], 140.0], [300.0, 300.0])
@@ -201,11 +200,11 @@ class TestGeometry:
         expected = bits(anew=True)
         assert bits(anew=False) == expected
         trace(other, ("u",))
-        assert geometry(other) is geometry(replace(other, samples=1))
+        assert geometry(other.objects) is geometry(replace(other, samples=1).objects)
         assert bits(anew=False) == expected
         trace(other_rig, ("u",))  # the same objects
         assert bits(anew=False) == expected
-        assert geometry(value) is not geometry(stock_scene())
+        assert geometry(value.objects) is not geometry(stock_scene().objects)
 
     def test_pose_matrix(self):
         pose = Rig.from_design(CONFIGURATION_5, camera(), PLAIN).camera.pose

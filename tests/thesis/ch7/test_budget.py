@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scenes_small import small, transport_of, truth_of
+from stages import ground_truth, trace
 
 from slbench.bench.compare.compare import compare
 from slbench.cloud.triangulation import intersect_axis
 from slbench.core.errors import InputError
 from slbench.design.fringes.trial import noise_of_scene
-from slbench.simulate.render.groundtruth import ground_truth
-from slbench.simulate.render.trace import trace
 from slbench.thesis.ch7 import budget as module
 from slbench.thesis.ch7.budget import ideal, object_truth, variations
 from slbench.thesis.ch7.report import thesis_law
@@ -102,7 +101,9 @@ class TestSensitivity:
 class TestSourcesAlone:
     def test_without_any_repeats_agree(self):
         scene = ideal(small(NAME))
-        found = compare(scene, SETS, repeats=2, transport=transport_of(NAME), truth=block_truth())
+        found = compare(
+            scene, SETS, repeats=2, transports=(transport_of(NAME),), truth=block_truth()
+        )
         # Relative noise of 1e12 electrons is 1e-6, a fifteenth of a 16 bit grey level.
         assert all(result.std_median_mm < 1e-6 for result in found.sets)
 
@@ -114,7 +115,7 @@ class TestSourcesAlone:
             shot.scene,
             ("1,2,4", "1,2,4,8,16"),
             repeats=12,
-            transport=transport_of(NAME),
+            transports=(transport_of(NAME),),
             truth=block_truth(),
         )
         four, sixteen = found.sets
@@ -128,7 +129,7 @@ class TestSourcesAlone:
         moving = replace(scene, exposure=replace(scene.exposure, vibration_px=vibration))
         truth = object_truth(ground_truth(scene))
         found = compare(
-            moving, ("1,4", "1,8"), repeats=repeats, transport=trace(scene, ("u",)), truth=truth
+            moving, ("1,4", "1,8"), repeats=repeats, transports=(trace(scene, ("u",)),), truth=truth
         )
         predicted = vibration * np.median(vibration_std_mm(scene, truth))
         # All pixels of a frame move together: a deviation from 120 repeats is known to

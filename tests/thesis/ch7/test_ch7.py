@@ -27,7 +27,7 @@ def found(name="ch7-step-block"):
         small(name),
         SETS,
         repeats=REPEATS,
-        transport=transport_of(name),
+        transports=(transport_of(name),),
         truth=object_truth(truth_of(name)),
     )
 

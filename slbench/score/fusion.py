@@ -1,4 +1,6 @@
-"""How good is a fused stack?  Against the same scene through pinholes, which has no blur.
+"""How good is a fused stack?  Against the frames of the same scene that are sharp everywhere.
+
+A simulation has them: the scene through pinholes (:mod:`slbench.simulate.pinholes`).
 
 Intensities are compared over all patterns, phases over the finest fringe set; both for the
 fused frames and for the single middle setting, inside and outside that setting's depth of
@@ -9,21 +11,17 @@ as 2 J1(x) / x with x = pi BLUR is 0.81 for a blur disc of that diameter.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.capture.capture import Capture
-from slbench.capture.fusion import maximum_weights, pyramid_selection, selective_weights
-from slbench.capture.stack import FocusStack, FusedCapture, modulation_weights
+from slbench.capture.stack import FocusStack, FusedCapture
 from slbench.core.errors import InputError
 from slbench.patterns import Axis
-from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.expose import capture, exposure, radiance_batches
-from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
 
@@ -63,21 +61,18 @@ class FusionScore:
 def score_fusion(
     stack: FocusStack,
     fused: FusedCapture,
-    scene: Scene,
-    transport: LightTransport,
+    expected: Iterable[tuple[int, Array]],
     truth: GroundTruth,
 ) -> FusionScore:
-    """Score fused frames against the scene through pinholes.
+    """Score fused frames against sharp ones.
 
     Parameters
     ----------
     stack : FocusStack
     fused : FusedCapture
         Of that stack.
-    scene : Scene
-        With the patterns of the stack and its focus settings.
-    transport : LightTransport
-        Of ``scene.all_in_focus()``.
+    expected : iterable of (int, (V, U) float)
+        Index and picture of every frame without blur and noise, DN of the stack's captures.
     truth : GroundTruth
 
     Returns
@@ -90,7 +85,7 @@ def score_fusion(
     InputError
         If the patterns have no fringes.
     """
-    sequence = scene.sequence
+    sequence = stack.captures[0].sequence
     finest = sequence.finest()
     if finest is None:
         raise InputError("fusion score", "fringes among the patterns", sequence.name)
@@ -105,19 +100,16 @@ def score_fusion(
     phases: dict[str, list[Array]] = {"true": [], "fused": [], "middle": []}
     top = 2.0 ** stack.captures[0].bit_depth - 1.0
     scale = 2.0 ** (fused.capture.bit_depth - stack.captures[0].bit_depth)
-    factor, exposure_s = stack_exposure(stack, scene, transport)
-    for indices, radiance in radiance_batches(scene, transport):
-        for k, image in zip(indices.tolist(), radiance, strict=True):
-            true = scene.detector.expected_dn(np.maximum(image, 0.0) * factor, exposure_s)
-            shown = {
-                "fused": fused.capture.frames[k] / scale,
-                "middle": stack.frame(middle, k).astype(np.float64),
-            }
-            for name, frame in shown.items():
-                squares[name] += ((frame - true) / top) ** 2 / sequence.n_frames
-            if k in finest.frames:
-                for name, frame in (shown | {"true": true}).items():
-                    phases[name].append(frame)
+    for k, true in expected:
+        shown = {
+            "fused": fused.capture.frames[k] / scale,
+            "middle": stack.frame(middle, k).astype(np.float64),
+        }
+        for name, frame in shown.items():
+            squares[name] += ((frame - true) / top) ** 2 / sequence.n_frames
+        if k in finest.frames:
+            for name, frame in (shown | {"true": true}).items():
+                phases[name].append(frame)
     exact = finest.code.relative_phase(np.stack(phases["true"]))[0]
     results = {}
     for name, square in squares.items():
@@ -126,26 +118,6 @@ def score_fusion(
         for place, mask in places.items():
             results[f"{name}_{place}"] = _sharpness(square[mask], off[mask])
     return FusionScore(fringes, **results)
-
-
-def compare_fusions(
-    stack: FocusStack, scene: Scene, transport: LightTransport, truth: GroundTruth
-) -> dict[str, FusionScore]:
-    """Score every way to fuse a stack: selective, maximum, pyramid, and by modulation.
-
-    Parameters are those of :func:`score_fusion`; the first three are weighted by the lit frames.
-    """
-    lit = stack.lit()
-    ways = {
-        "saf": selective_weights(lit),
-        "maximum": maximum_weights(lit),
-        "pyramid": pyramid_selection(lit),
-        "modulation": modulation_weights(stack),
-    }
-    return {
-        name: score_fusion(stack, stack.fuse_with(weights), scene, transport, truth)
-        for name, weights in ways.items()
-    }
 
 
 def _sharpness(square: Array, off: Array) -> Sharpness:
@@ -162,32 +134,3 @@ def _blur(truth: GroundTruth, axis: Axis, fringes: int, size: int) -> Array:
     with np.errstate(invalid="ignore"):
         slope = np.hypot(*np.gradient(coordinate))  # panel pixels a camera pixel
         return np.hypot(truth.projector_coc, slope * truth.camera_coc) * fringes / size
-
-
-def stack_exposure(
-    stack: FocusStack, scene: Scene, transport: LightTransport
-) -> tuple[float, float]:
-    """Return the photons per unit radiance and the exposure time that a stack was captured with.
-
-    The time is the stack's own.  `scene` has its focus settings and `transport` is that of the
-    scene through pinholes, which show the same radiance where an aperture's picture is sharp.
-    """
-    middle = scene.focused(len(stack) // 2)
-    time = stack.captures[0].exposure_s
-    factor, automatic = exposure(middle, transport)
-    return (factor, automatic) if time is None else (factor * time / automatic, time)
-
-
-def all_in_focus(stack: FocusStack, scene: Scene, transport: LightTransport) -> Capture:
-    """Return the expected frames of the scene through pinholes, exposed as the stack was.
-
-    Parameters
-    ----------
-    stack : FocusStack
-    scene : Scene
-        With the patterns of the stack and its focus settings.
-    transport : LightTransport
-        Of ``scene.all_in_focus()``.
-    """
-    light = stack_exposure(stack, scene, transport)
-    return capture(scene.all_in_focus(), transport, noise=False, light=light)

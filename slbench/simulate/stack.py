@@ -1,0 +1,105 @@
+"""Scenes captured at each of their focus settings; without any, one picture: a stack of one.
+
+This is the one way from a scene to its captures: ``capture_stack(scene).fuse().decode()``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from slbench.capture.capture import Capture
+from slbench.capture.stack import FocusStack
+from slbench.core.random import setting_seed
+from slbench.patterns import Flat, PatternSequence
+from slbench.scene.model import Scene
+from slbench.simulate.expose import Shutter, capture, shutter_for
+from slbench.simulate.transport import LightTransport, Marginal
+
+
+def with_lit_frame(sequence: PatternSequence) -> PatternSequence:
+    """Return the patterns with a fully lit frame first, unless they have one."""
+    if sequence.lit_frame is not None:
+        return sequence
+    return PatternSequence(sequence.panel, (Flat(1.0), *sequence.parts))
+
+
+def traced(
+    scene: Scene, axes: tuple[Marginal, ...] | None = None, *, seed: int = 0
+) -> tuple[LightTransport, ...]:
+    """Trace a scene at each of its focus settings; once where it has none.
+
+    Parameters
+    ----------
+    scene : Scene
+    axes : tuple of {"u", "v", "uv"}, optional
+        Marginals to keep, by default what the scene's patterns vary along.
+    seed : int
+    """
+    from slbench.simulate.render.trace import trace
+
+    kept = scene.sequence.variations if axes is None else axes
+    return tuple(
+        trace(scene.objects, rig, scene.light, kept, samples=scene.samples, seed=seed)
+        for rig in scene.rigs
+    )
+
+
+def capture_stack(
+    scene: Scene,
+    transports: Sequence[LightTransport] | None = None,
+    *,
+    seed: int = 0,
+    noise: bool = True,
+    on_progress: Callable[[float], None] | None = None,
+) -> FocusStack:
+    """Capture a scene at each of its focus settings; once where it has none.
+
+    A stack has a fully lit frame with its patterns and one exposure, that of the middle setting.
+
+    Parameters
+    ----------
+    scene : Scene
+    transports : sequence of LightTransport, optional
+        As :func:`traced` gives them, where they are at hand; traced otherwise, one at a time.
+    seed : int
+        Of the Monte Carlo samples, the detector's temporal noise and vibration.
+    noise : bool
+        False leaves out the detector's noise and vibration; rounding stays.
+    on_progress : callable, optional
+        Called with the finished fraction.
+
+    Returns
+    -------
+    FocusStack
+    """
+    from slbench.simulate.render.trace import trace
+
+    alone = scene.focus is None
+    sequence = scene.sequence if alone else with_lit_frame(scene.sequence)
+    rigs, detector, exposure = scene.rigs, scene.detector, scene.exposure
+    shutter: Shutter | None = None
+    captures: dict[int, Capture] = {}
+    # The middle first: the others take its exposure.
+    for k in sorted(range(len(rigs)), key=lambda k: k != len(rigs) // 2):
+        if transports is None:
+            transport = trace(
+                *(scene.objects, rigs[k], scene.light, sequence.variations),
+                samples=scene.samples,
+                seed=seed,
+            )
+        else:
+            transport = transports[k]
+        shutter = shutter or shutter_for(transport, rigs[k].camera, detector, exposure)
+
+        def progress(part: float, done: int = len(captures)) -> None:
+            if on_progress:
+                on_progress((done + part) / len(rigs))
+
+        captures[k] = capture(
+            *(transport, sequence, rigs[k], detector, exposure),
+            seed=setting_seed(seed, None if alone else k),
+            noise=noise,
+            shutter=shutter,
+            on_progress=progress,
+        )
+    return FocusStack([captures[k] for k in range(len(rigs))], scene.focus)
