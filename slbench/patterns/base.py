@@ -349,8 +349,6 @@ class Observed:
 class Found:
     """What a run has found along one axis; all arrays flat, (P,).
 
-    The arrays become the decoder's own, which writes NaN into coordinate and sigma.
-
     Parameters
     ----------
     coordinate : (P,) float64
@@ -364,7 +362,8 @@ class Found:
         Where the coordinate is good enough to be the result.
     complete : bool
         Whether the pixels that saturate in ``run.searched`` are out of the mask already, and
-        coordinate and sigma NaN outside it.  The decoder does both where it is False.
+        coordinate and sigma NaN outside it; both arrays are then the decoder's to write to.
+        The decoder does both where it is False.
     relative : tuple of (fringes, (P,) float64)
         Relative phase in [0, 2 pi) of every fringe set of the run, if wanted.
     evidence : mapping of part index to mapping of name to (..., P) float64

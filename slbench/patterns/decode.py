@@ -182,6 +182,8 @@ def decode(
                 evidence[part] = evidence.get(part, {}) | reshaped
     results = {axis: found[axis] for axis in sequence.axes}
     mask = _shared_mask(list(results.values()), searched, observed)
+    if not (len(results) == 1 and results[sequence.axes[0]].complete):
+        results = {axis: _masked(one, mask) for axis, one in results.items()}
     modulation, mean = results[sequence.axes[0]].modulation, results[sequence.axes[0]].mean
     if len(results) > 1:
         modulation = np.minimum.reduce([one.modulation for one in results.values()])
@@ -200,17 +202,24 @@ def decode(
 def _shared_mask(
     results: Sequence[Found], searched: Sequence[int], observed: Observed
 ) -> NDArray[np.bool_]:
-    """Return where every axis is measured, (P,); coordinates and sigmas become NaN elsewhere."""
+    """Return where every axis is measured, (P,)."""
     if len(results) == 1 and results[0].complete:
         return results[0].mask
     mask = np.logical_and.reduce([one.mask for one in results])
     if not results[0].complete:
         for k in searched:
             mask &= observed.pixels[k] < observed.saturation  # False for NaN
-    for one in results:
+    return mask
+
+
+def _masked(one: Found, mask: NDArray[np.bool_]) -> Found:
+    """Return what was found with coordinate and sigma NaN outside the mask."""
+    if one.complete:  # few pixels are left to mask, and the arrays are the decoder's own
         one.coordinate[~mask] = np.nan
         one.sigma[~mask] = np.nan
-    return mask
+        return one
+    coordinate = np.where(mask, one.coordinate, np.nan)
+    return replace(one, coordinate=coordinate, sigma=np.where(mask, one.sigma, np.nan))
 
 
 def _flatten(frames: object, sequence: PatternSequence) -> NDArray[Any]:

@@ -170,7 +170,9 @@ class Fringes(Code):
         sets = [(k, code.shifts, code.count) for k, code in zip(starts, codes, strict=True)]
         reference = np.empty(0)
         if axis in found:
-            reference = 2.0 * pi * (found[axis].coordinate + 0.5) / size
+            reference = found[axis].coordinate + 0.5
+            reference *= 2.0 * pi
+            reference /= size
         n_pixels = pixels.shape[1]
         coordinate, sigma, modulation, mean = (np.empty(n_pixels) for _ in range(4))
         mask = np.empty(n_pixels, dtype=np.bool_)

@@ -141,7 +141,7 @@ class GrayCode(Code):
         return {
             axis: Found(
                 coordinate=column,
-                sigma=np.full(column.shape, 1.0 / sqrt(12.0)),
+                sigma=np.broadcast_to(np.float64(1.0 / sqrt(12.0)), column.shape),
                 modulation=contrast,
                 mean=mean,
                 mask=mask,

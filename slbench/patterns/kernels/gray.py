@@ -9,11 +9,20 @@ from slbench.patterns.kernels.blocks import BLOCK, FAST, PAD
 
 
 @njit(error_model="numpy")
-def _decided(contrast: float, mean: float, noise: Any, limits: Any) -> bool:
+def _decided(
+    contrast: float,
+    mean: float,
+    alpha: float,
+    beta: float,
+    offset: float,
+    least_square: float,
+    least_ratio: float,
+) -> bool:
     """Return whether a contrast is within both limits, by arithmetic that is not contracted."""
-    variance = noise[0] + noise[1] * max(mean - noise[2], 0.0)
+    variance = alpha + beta * max(mean - offset, 0.0)
     square = contrast * contrast
-    return square >= limits[0] and square >= limits[1] * variance
+    # No short cut: without branches the loop becomes vector instructions.
+    return (square >= least_square) & (square >= least_ratio * variance)
 
 
 @njit(parallel=True, fastmath=FAST, error_model="numpy", nogil=True, cache=True)
@@ -56,6 +65,8 @@ def decode_gray(
         Where there is a column and its contrast is within the limits.
     """
     n_pixels = frames.shape[1]
+    alpha, beta, offset = noise[0], noise[1], noise[2]
+    least_square, least_ratio = limits[0], limits[1]
     for block in prange((n_pixels + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         stop = min(start + BLOCK, n_pixels)
@@ -86,8 +97,9 @@ def decode_gray(
             contrast[start + i] = second[i] if bits > 1 else weakest[i]
             mean[start + i] = average[i] / bits
         for i in range(n):
-            inside = number[i] < size
-            mask[start + i] = inside and _decided(
-                contrast[start + i], mean[start + i], noise, limits
+            good = _decided(
+                contrast[start + i], mean[start + i], alpha, beta, offset, least_square, least_ratio
             )
-            number[i] = number[i] if inside else np.nan
+            mask[start + i] = good & (number[i] < size)
+        for i in range(n):
+            number[i] = number[i] if number[i] < size else np.nan
