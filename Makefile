@@ -1,8 +1,8 @@
 # From a fresh clone to pictures: `make demo`.  Needs Python 3.11 or newer (with venv) and make.
 #
 #   make demo      environment, then scan the step block into out/demo
-#   make test      lint, types, and the tests that take less than about ten seconds each
-#   make test-all  the slow tests too
+#   make test      lint, types, and the quick tests: less than about ten seconds each
+#   make test-all  the slow tests too, and the statistical ones that repeat an analysis many times
 #   make bench     timings only (tests/benchmarks)
 #   make lint      ruff, mypy, and who may import whom
 #   make dist      wheel and source archive into dist/, each tested in a clean environment
@@ -29,14 +29,15 @@ demo: $(RUN_STAMP)
 	$(BIN)/slbench scan step-block --out out/demo
 	@echo "The pictures are in $(CURDIR)/out/demo"
 
+# The tests of a file share what they make: loadfile keeps them in one of the two workers.
 test: lint
-	$(BIN)/python -m pytest -n 2 -m "not slow" --benchmark-disable
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not slow and not statistics" --benchmark-disable
 
 test-all: lint
 	$(BIN)/python -m pytest --benchmark-disable
 
 bench: $(TEST_STAMP)
-	$(BIN)/python -m pytest --benchmark-only tests/benchmarks
+	$(BIN)/python -m pytest tests/benchmarks
 
 lint: $(TEST_STAMP)
 	$(BIN)/ruff check

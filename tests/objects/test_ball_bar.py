@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 import scipy.optimize
-from helpers_macro import (
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from macro_artefacts import (
     BALL_BAR,
     check_refused,
     check_repeatable,
@@ -13,8 +15,6 @@ from helpers_macro import (
     check_solid,
     fresh,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from slbench import objects
 

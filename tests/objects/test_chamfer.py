@@ -5,9 +5,9 @@ import math
 
 import numpy as np
 import pytest
-from helpers_macro import check_refused, check_repeatable, check_solid, fresh
 from hypothesis import given
 from hypothesis import strategies as st
+from macro_artefacts import check_refused, check_repeatable, check_solid, fresh
 
 from slbench import objects
 

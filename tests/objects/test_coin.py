@@ -6,9 +6,16 @@ import manifold3d
 import numpy as np
 import pytest
 import scipy.spatial
-from helpers_macro import check_refused, check_repeatable, check_shipped, check_solid, fresh, solid
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from macro_artefacts import (
+    check_refused,
+    check_repeatable,
+    check_shipped,
+    check_solid,
+    fresh,
+    solid,
+)
 from matplotlib.font_manager import FontProperties
 from matplotlib.path import Path
 from matplotlib.textpath import TextPath

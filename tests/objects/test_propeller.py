@@ -5,9 +5,16 @@ import math
 import manifold3d
 import numpy as np
 import pytest
-from helpers_macro import check_refused, check_repeatable, check_shipped, check_solid, fresh, solid
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from macro_artefacts import (
+    check_refused,
+    check_repeatable,
+    check_shipped,
+    check_solid,
+    fresh,
+    solid,
+)
 
 from slbench import objects
 
