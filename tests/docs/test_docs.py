@@ -173,7 +173,7 @@ def test_the_parser_of_commands_sees_mistakes():
     for line in ("slbench scam x", "slbench scan x --previw", "slbench design rigg x"):
         with pytest.raises(ValueError, match="no "):
             parse(line)
-    assert len(list(commands(DOCS / "explanation" / "rig-design.md"))) > 5
+    assert len(list(commands(DOCS / "how-to" / "design-rig.md"))) > 5
 
 
 # -- snippets ----------------------------------------------------------------------------------
@@ -197,11 +197,11 @@ def test_python_snippets_compile_and_import_what_exists(path, code):
                     importlib.import_module(f"{node.module}.{alias.name}")
 
 
-def test_the_snippet_of_pattern_design_runs_and_gives_its_numbers(tmp_path, monkeypatch):
+def test_the_snippet_of_designing_patterns_runs_and_gives_its_numbers(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (code,) = (p.values[1] for p in SNIPPETS if p.values[0].name == "pattern-design.md")
+    (code,) = (p.values[1] for p in SNIPPETS if p.values[0].name == "design-patterns.md")
     scope = {}
-    exec(compile(code, "pattern-design.md", "exec"), scope)
+    exec(compile(code, "design-patterns.md", "exec"), scope)
     # The numbers of the snippet's own comments.
     assert scope["design"].fringes == (1, 10, 80)
     assert scope["design"].sigma_px == pytest.approx(0.0286, abs=1e-4)
