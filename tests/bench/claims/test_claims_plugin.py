@@ -1,5 +1,7 @@
-"""The pytest plugin, in runs of pytest of its own; and what importing it costs."""
+"""The pytest plugin, in runs of pytest within this one; and what importing it costs."""
 
+import contextlib
+import io
 import json
 import subprocess
 import sys
@@ -15,17 +17,20 @@ FALSE = BASE | {"name": "false", "max": 0.001}
 OPEN = BASE | {"name": "open", "quantity": "step[1].deviation_mm", "max": 0.0, "repeats": 4}
 
 
-def run_pytest(folder, *arguments):
-    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--strict-markers"]
-    return subprocess.run(
-        [*command, *arguments], cwd=folder, capture_output=True, text=True, check=False
-    )
-
-
 @pytest.fixture
-def folder(tmp_path):
+def folder(tmp_path, monkeypatch):
     write_scene(tmp_path)
+    monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def run_pytest(*arguments):
+    """Run pytest in this process and return its status and what it printed."""
+    printed = io.StringIO()
+    options = ("-p", "no:cacheprovider", "-p", "no:faulthandler", "--capture=sys")
+    with contextlib.redirect_stdout(printed):
+        status = pytest.main(["--strict-markers", *options, *arguments])
+    return status, printed.getvalue()
 
 
 def claims(folder, *tables, name="some.claims.toml"):
@@ -40,16 +45,16 @@ def test_one_item_a_claim_and_one_line_a_failure(folder):
         OPEN,
         TRUE | {"name": "missing", "quantity": "step[9].error_mm"},
     )
-    done = run_pytest(folder, "-q", "-rA")
-    assert done.returncode == 1
-    assert "3 failed, 1 passed" in done.stdout
-    assert "PASSED some.claims.toml::true" in done.stdout
-    assert "fails: smooth_rms_px.u = 0.06" in done.stdout
-    assert "undecided: step[1].deviation_mm" in done.stdout
-    assert "repeats would decide" in done.stdout
-    assert 'claim "missing": quantity: expected' in done.stdout
-    assert "Traceback" not in done.stdout
-    assert "pools.py" not in done.stdout
+    status, printed = run_pytest("-q", "-rA")
+    assert status == 1
+    assert "3 failed, 1 passed" in printed
+    assert "PASSED some.claims.toml::true" in printed
+    assert "fails: smooth_rms_px.u = 0.06" in printed
+    assert "undecided: step[1].deviation_mm" in printed
+    assert "repeats would decide" in printed
+    assert 'claim "missing": quantity: expected' in printed
+    assert "Traceback" not in printed
+    assert "pools.py" not in printed
 
 
 def test_settings_markers_and_a_file_that_is_refused(folder):
@@ -57,15 +62,14 @@ def test_settings_markers_and_a_file_that_is_refused(folder):
     claims(folder, TRUE | {"maximum": 1.0}, name="bad.claims.toml")
     (folder / "pytest.ini").write_text("[pytest]\nclaims_seed = 4\nclaims_preview = true\n")
     options = ("-m", "not slow", "--claims-seed", "5", "--continue-on-collection-errors")
-    done = run_pytest(folder, "-q", "-rA", *options)
-    assert done.returncode == 1
-    assert "1 passed, 1 deselected, 1 error" in done.stdout
-    assert "holds: smooth_rms_px.u" in done.stdout
-    assert 'bad.claims.toml: claim "true": expected one of the keys scene, ' in done.stdout
-    assert "Traceback" not in done.stdout
+    status, printed = run_pytest("-q", "-rA", *options)
+    assert status == 1
+    assert "1 passed, 1 deselected, 1 error" in printed
+    assert "holds: smooth_rms_px.u" in printed
+    assert 'bad.claims.toml: claim "true": expected one of the keys scene, ' in printed
+    assert "Traceback" not in printed
 
 
-@pytest.mark.slow
 def test_a_baseline_beside_the_file_is_compared(folder):
     claims(folder, TRUE, TRUE | {"name": "worse"})
     assert run_cli("check", folder / "some.claims.toml", "--update").status == 0
@@ -74,18 +78,17 @@ def test_a_baseline_beside_the_file_is_compared(folder):
     # As if the scans had once been a tenth as noisy.
     content["claims"]["worse"]["values"] = [x / 10 for x in content["claims"]["true"]["values"]]
     kept.write_text(json.dumps(content))
-    done = run_pytest(folder, "-q")
-    assert "1 failed, 1 passed" in done.stdout
-    assert "regressed: smooth_rms_px.u" in done.stdout
+    _, printed = run_pytest("-q")
+    assert "1 failed, 1 passed" in printed
+    assert "regressed: smooth_rms_px.u" in printed
 
 
-@pytest.mark.slow  # another interpreter, for a detail
 def test_a_seed_that_is_none(folder):
     claims(folder, TRUE)
-    done = run_pytest(folder, "-q", "-o", "claims_seed=x")
-    assert done.returncode == 1
-    assert "claims_seed: expected a whole number, zero or more, got x" in done.stdout
-    assert "Traceback" not in done.stdout
+    status, printed = run_pytest("-q", "-o", "claims_seed=x")
+    assert status == 1
+    assert "claims_seed: expected a whole number, zero or more, got x" in printed
+    assert "Traceback" not in printed
 
 
 def test_importing_the_plugin_loads_nothing_heavy():
@@ -101,5 +104,10 @@ def test_importing_the_plugin_loads_nothing_heavy():
 def test_a_suite_without_claims_loads_nothing_heavy(tmp_path):
     code = "import sys\ndef test_it():\n    assert not {'numba', 'cv2', 'mitsuba', 'matplotlib'} "
     (tmp_path / "test_plain.py").write_text(code + "& set(sys.modules)\n")
-    done = run_pytest(tmp_path, "-q")
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
     assert done.returncode == 0, done.stdout
