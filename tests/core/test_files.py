@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import pytest
-from helpers.refusals import required, tables
+from refusals import required, tables
 
 import slbench
 from slbench.bench.claims import baseline, file

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.refusals import wrong_values
+from refusals import wrong_values
 
 import slbench
 from slbench.capture.capture import Capture, CaptureTable

@@ -185,11 +185,7 @@ class TestRefused:
     @pytest.mark.parametrize(
         ("changes", "words"),
         [
-            ({"colour": 1}, ("'colour'",)),
-            ({"name": None}, ("tiny.toml", "name")),
             ({"scene": _scene(exposure={"white_level": {"uniform": [0.9, 0.5]}})}, ("lowest",)),
-            ({"scene": _scene(exposure={"white_level": {"uniform": [0.9]}})}, ("uniform",)),
-            ({"scene": _scene(light={"bounces": {"log_uniform": [0, 1]}})}, ("log_uniform",)),
             (
                 {"scene": _scene(light={"bounces": {"uniform": [0, 1], "choice": [1]}})},
                 ("scene.light.bounces", "one of uniform"),
@@ -227,11 +223,6 @@ class TestRefused:
             ),
             ({"objects": [{"mesh": "../part.ply", "unit": "mm"}]}, ("objects[0].mesh", "leaves")),
             ({"objects": [{"mesh": "none.ply", "unit": "mm"}]}, ("objects[0].mesh",)),
-            ({"patterns": [{"sequence": "1,10", "shifts": 2}]}, ("patterns[0].shifts",)),
-            ({"patterns": [{"sequence": "1,10", "repeats": 0}]}, ("patterns[0].repeats",)),
-            ({"constraints": {"min_lit_share": 2.0}}, ("constraints.min_lit_share",)),
-            ({"samples_per_shard": 0}, ("samples_per_shard",)),
-            ({"weight_bits": 24}, ("weight_bits",)),
             ({"marginals": ["u", "u"]}, ("each once",)),
             (
                 {"marginals": ["u"], "patterns": [{"sequence": "1,10", "axes": "uv"}]},
@@ -253,10 +244,10 @@ class TestRefused:
             ({"objects": [{"artefact": "../a.toml"}]}, ("objects[0].artefact", "leaves")),
             ({"scene": {"render": {"samples": 4}}}, ("scene.rig", "a table")),
             ({"scene": _scene(rig=5)}, ("scene.rig", "a table")),
-            ({"scene": _scene(rig={"choice": ["a.yaml"]})}, ("scene: rig",)),
             ({"scene": _scene(camera=5)}, ("scene.camera", "a table")),
             ({"scene": _scene(preview=5)}, ("scene.preview", "a table")),
             ({"scene": _scene(preview={"uniform": [1, 2]})}, ("scene.preview", "a table")),
+            ({"scene": _scene(rig={"choice": ["a.yaml"]})}, ("scene: rig",)),
             (
                 {"scene": _scene(render={"samples": {"integers": [1, 10**20]}})},
                 ("scene.render.samples.integers[1]", "a whole number of 64 bits"),

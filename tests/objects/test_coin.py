@@ -221,23 +221,16 @@ def test_shipped_coins_are_what_they_certify(name):
 @pytest.mark.parametrize(
     ("change", "key"),
     [
-        ({"text": ""}, "text"),
         ({"text": "  "}, "text: expected text with something to see"),
         ({"text": "3\n4"}, r"text: expected characters of DejaVu Sans, got '\\n'"),
         ({"text": "\u4e2d"}, "text: expected characters"),
-        ({"text": 3}, "text"),
         ({"text": "NNNN"}, "text_height_mm: expected text within"),
         ({"text_height_mm": 0.9}, "text_height_mm: expected text within"),
         ({"relief_height_mm": 0.12}, "relief_height_mm: expected characters with strokes wider"),
         ({"rim_width_mm": 0.45}, "rim_width_mm"),
-        ({"rim_height_mm": 0.0}, "rim_height_mm"),
-        ({"flank_angle_deg": 90.0}, "flank_angle_deg"),
-        ({"field_ra_um": -0.1}, "field_ra_um"),
         ({"field_ra_um": 0.1, "correlation_length_um": 15.0}, "spacing_um: expected .* to 7.5"),
         ({"spacing_um": 15.0}, "spacing_um"),
         ({"spacing_um": 0.1}, "spacing_um"),
-        ({"seed": -1}, "seed"),
-        ({"font": "Arial"}, "'font'"),
     ],
 )
 def test_refused_coins(change, key):

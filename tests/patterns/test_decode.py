@@ -343,8 +343,6 @@ def test_sequences_that_cannot_be_unwrapped(parts, message):
 @pytest.mark.parametrize(
     "call",
     [
-        lambda: NoiseModel(read_dn=-1),
-        lambda: NoiseModel(offset_dn=np.nan),
         lambda: decode(np.zeros((6, 4, 4)), GOOD, min_snr=-1),
         lambda: decode(np.zeros((6, 4, 4)), GOOD, saturation=np.nan),
         lambda: relative_phase(np.zeros((2, 4, 4))),
