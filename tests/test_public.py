@@ -14,7 +14,8 @@ from datasets_small import result_of, write_dataset
 from public_names import LIST, PACKAGES, described
 
 import slbench as sl
-from slbench.core.display import brief
+from slbench.core.show.display import brief
+from slbench.core.show.document import Table
 
 #: Needs a library that is not among the dependencies.
 OPTIONAL = "slbench.datasets.read.torch_adaptor"
@@ -107,7 +108,7 @@ def values(tmp_path_factory):
         scene.with_patterns("white+black+gray+1,2,4,8,16,32,64@8", axes="uv").sequence,
         sl.cloud.registration.Overlap(0, 1, 1000, 0.5, 0.001, 0.0005, 6),
         sl.select_models(rig_points(200)).model,
-        sl.compare(scene, sets, repeats=2, transport=scan.transport, truth=scan.truth),
+        sl.compare(scene, sets, repeats=2, transports=[scan.transport], truth=scan.truth),
         sl.open_dataset(write_dataset(tmp_path_factory.mktemp("small"))),
         sl.simulate.render.current(),
     ]
@@ -154,7 +155,7 @@ def test_tables_of_a_notebook_are_escaped(values):
     for value in shown:
         html = value._repr_html_()
         assert html.count("<tr>") == html.count("</tr>") > 1
-    table = sl.core.document.Table("<i>", ("a & b",), (("<script>",),), "x < y")
+    table = Table("<i>", ("a & b",), (("<script>",),), "x < y")
     html = table._repr_html_()
     assert "&lt;script&gt;" in html
     assert "a &amp; b" in html

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from slbench.calibration.models.model import CalibrationModel
 from slbench.cloud.triangulation import PointCloud
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 from slbench.patterns import Axis, PhaseMap
 
 Array = NDArray[np.float64]

@@ -53,9 +53,9 @@ from slbench.calibration.robust import (
     irls,
 )
 from slbench.calibration.scales import gross_points, predictive_scale
-from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.random import generator
+from slbench.core.show.display import brief
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from slbench.calibration.scales import GROSS
 from slbench.calibration.selection import Selection
-from slbench.core.document import Cell, Table
+from slbench.core.show.document import Cell, Table
 
 _UM = 1e3
 

@@ -37,13 +37,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core import resources
-from slbench.core.display import block
-from slbench.core.drawing import figure
 from slbench.core.errors import InputError, located
 from slbench.core.io import read_grey, read_toml, write_png, write_toml
 from slbench.core.modules import load_modules, save_modules
-from slbench.core.types import BitDepth, Count, MinLen, NotNegative, Positive, Word
-from slbench.core.values import Value, validated
+from slbench.core.show.display import block
+from slbench.core.show.drawing import figure
+from slbench.core.validation.types import BitDepth, Count, MinLen, NotNegative, Positive, Word
+from slbench.core.validation.values import Value, validated
 from slbench.patterns import (
     CODES,
     MIN_MODULATION_DN,

@@ -9,10 +9,10 @@ from typing import Annotated, Self
 
 import numpy as np
 
-from slbench.core.display import brief
 from slbench.core.errors import InputError
-from slbench.core.types import MaxLen, MinLen, Positive
-from slbench.core.values import Value
+from slbench.core.show.display import brief
+from slbench.core.validation.types import MaxLen, MinLen, Positive
+from slbench.core.validation.values import Value
 from slbench.rig import Rig
 
 #: More settings than any stack has are a slip.

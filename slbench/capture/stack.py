@@ -28,13 +28,13 @@ from slbench.capture.fusion import Alignment, FusionWeights, align, selective_we
 from slbench.capture.fusion.measures import check_window
 from slbench.capture.fusion.photographs import FusionMethod
 from slbench.core import resources
-from slbench.core.display import block, brief
-from slbench.core.drawing import figure
 from slbench.core.errors import InputError, located
 from slbench.core.io import atomic_folder, read_grey, read_toml, write_exr, write_toml
 from slbench.core.registry import quoted
-from slbench.core.types import MinLen, Positive, Word
-from slbench.core.values import validated
+from slbench.core.show.display import block, brief
+from slbench.core.show.drawing import figure
+from slbench.core.validation.types import MinLen, Positive, Word
+from slbench.core.validation.values import validated
 from slbench.patterns import NoiseModel, PhaseMap
 from slbench.rig import ALONE, Pair
 
@@ -415,7 +415,7 @@ def _stack_table(distances: tuple[str, ...]) -> Any:
     """Return the model of a ``stack.toml`` that has these keys with distances of devices."""
     from pydantic import create_model
 
-    from slbench.core.validation import Parameters
+    from slbench.core.validation.tables import Parameters
 
     names = dict.fromkeys((*(f"{name}{_FOCUS}" for name in ALONE), *distances))
     fields: Any = dict.fromkeys(names, (tuple[Positive, ...] | None, None))

@@ -94,11 +94,11 @@ def print_json(values: Any) -> None:
 
 
 def print_table(table: Any, *, left: int = 1) -> None:
-    """Print a table of :mod:`slbench.core.document`, or a rich one.
+    """Print a table of :mod:`slbench.core.show.document`, or a rich one.
 
     Parameters
     ----------
-    table : slbench.core.document.Table or rich.table.Table
+    table : slbench.core.show.document.Table or rich.table.Table
     left : int
         How many columns of the first kind are texts and stand to the left.
     """
@@ -106,7 +106,7 @@ def print_table(table: Any, *, left: int = 1) -> None:
     from rich.console import Console
     from rich.text import Text
 
-    from slbench.core.document import Table
+    from slbench.core.show.document import Table
 
     if isinstance(table, Table):
         laid_out = terminal.Table(title=table.title or None)

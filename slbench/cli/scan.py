@@ -21,7 +21,7 @@ from slbench.cli.common import (
 )
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-from slbench.core.types import MAX_SAMPLES
+from slbench.core.validation.types import MAX_SAMPLES
 
 if TYPE_CHECKING:
     from rich.table import Table

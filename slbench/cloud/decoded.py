@@ -11,8 +11,8 @@ import numpy as np
 
 from slbench.capture.capture import Capture
 from slbench.cloud.triangulation import PointCloud, triangulate
-from slbench.core.display import brief
 from slbench.core.io import atomic_folder, write_exr, write_json, write_ply, write_provenance
+from slbench.core.show.display import brief
 from slbench.patterns import PhaseMap
 
 

@@ -16,9 +16,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.display import block, length
-from slbench.core.drawing import figure
 from slbench.core.errors import InputError
+from slbench.core.show.display import block, length
+from slbench.core.show.drawing import figure
 from slbench.patterns import PhaseMap
 from slbench.rig import Device, Rig
 

@@ -9,7 +9,8 @@ from typing import Any
 
 from slbench.core.errors import InputError
 from slbench.core.io import plain
-from slbench.core.validation import shown, validated
+from slbench.core.validation.values import validated
+from slbench.core.validation.wording import shown
 from slbench.datasets.spec.specification import Patterns, Specification
 from slbench.datasets.store.index import FIXED
 from slbench.datasets.store.shards import digest, is_member

@@ -2,7 +2,7 @@
 
 Whatever turns light into digital numbers is a subclass of :class:`DetectorModel`, whose fields are
 the keys of ``[detector]`` in a scene file (a frozen dataclass that is a
-:class:`~slbench.core.values.Value`, or a pydantic model).
+:class:`~slbench.core.validation.values.Value`, or a pydantic model).
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.registry import Registry
-from slbench.core.types import BitDepth
-from slbench.core.validation import shown, validated
+from slbench.core.validation.types import BitDepth
+from slbench.core.validation.values import validated
+from slbench.core.validation.wording import shown
 from slbench.patterns import NoiseModel
 
 FloatArray = NDArray[np.float64]

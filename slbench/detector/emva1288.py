@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.random import generator
-from slbench.core.types import (
+from slbench.core.validation.types import (
     FINITE,
     BitDepth,
     Fraction,
@@ -37,7 +37,7 @@ from slbench.core.types import (
     Positive,
     Seed,
 )
-from slbench.core.values import Value, checked
+from slbench.core.validation.values import Value, checked
 from slbench.detector.base import DetectorModel, FloatArray, FrameArray
 from slbench.patterns import NoiseModel
 

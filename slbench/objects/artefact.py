@@ -15,8 +15,8 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.display import block, numbers
 from slbench.core.errors import InputError
+from slbench.core.show.display import block, numbers
 
 #: Name of the face that heights are taken from.
 REFERENCE = "reference"

@@ -25,7 +25,9 @@ from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
 from slbench.core.registry import OWN
-from slbench.core.validation import Finite, Parameters, validated
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Finite
+from slbench.core.validation.values import validated
 from slbench.objects.artefact import Artefact, measure_features
 from slbench.objects.cache import cached
 from slbench.objects.registry import artefacts

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from slbench.core.registry import Registry
-from slbench.core.validation import Parameters
+from slbench.core.validation.tables import Parameters
 from slbench.objects.artefact import Artefact
 
 

@@ -64,9 +64,9 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.checks import require_keys
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
+from slbench.core.validation.checks import require_keys
 from slbench.patterns.noise import NoiseModel
 
 FloatArray = NDArray[np.float64]

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.display import block, share
-from slbench.core.drawing import figure
 from slbench.core.errors import InputError
+from slbench.core.show.display import block, share
+from slbench.core.show.drawing import figure
 from slbench.patterns.base import Axis, FloatArray, Found, Observed
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence

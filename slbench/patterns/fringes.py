@@ -19,8 +19,8 @@ from typing import ClassVar, Self, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slbench.core.checks import require_whole
 from slbench.core.errors import InputError
+from slbench.core.validation.checks import require_whole
 from slbench.patterns.base import (
     Axis,
     Code,

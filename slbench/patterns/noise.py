@@ -6,8 +6,8 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.types import Finite, NotNegative
-from slbench.core.values import Value
+from slbench.core.validation.types import Finite, NotNegative
+from slbench.core.validation.values import Value
 
 FloatArray = NDArray[np.float64]
 

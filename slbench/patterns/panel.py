@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.checks import require_whole
 from slbench.core.errors import InputError
+from slbench.core.validation.checks import require_whole
 
 
 def panel_response(

@@ -20,12 +20,12 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.checks import require_keys, require_whole
-from slbench.core.display import block
-from slbench.core.document import Table
-from slbench.core.drawing import figure
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
+from slbench.core.show.display import block
+from slbench.core.show.document import Table
+from slbench.core.show.drawing import figure
+from slbench.core.validation.checks import require_keys, require_whole
 from slbench.patterns.base import (
     Axis,
     Code,

@@ -20,8 +20,8 @@ from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.core.document import Cloud, Picture
 from slbench.core.random import generator
+from slbench.core.show.document import Cloud, Picture
 
 Array = NDArray[np.float64]
 

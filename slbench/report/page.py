@@ -24,10 +24,10 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from slbench.core.document import Cloud, Page, Part, Picture, Table, Text, shown
 from slbench.core.errors import InputError
 from slbench.core.io import plain
 from slbench.core.io.atomic import write_bytes
+from slbench.core.show.document import Cloud, Page, Part, Picture, Table, Text, shown
 from slbench.report.cloud import cloud_view
 
 _PNG = b"\x89PNG\r\n\x1a\n"

@@ -26,10 +26,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.display import length, numbers
 from slbench.core.errors import InputError
-from slbench.core.types import Angle, Distortion, Pair, PanelBits, Pixels, Positive, Size
-from slbench.core.values import Value
+from slbench.core.show.display import length, numbers
+from slbench.core.validation.types import Angle, Distortion, Pair, PanelBits, Pixels, Positive, Size
+from slbench.core.validation.values import Value
 from slbench.rig.distortion import (
     apply_homography,
     distort,

@@ -8,8 +8,8 @@ from typing import Annotated, Literal, Self
 import numpy as np
 
 from slbench.core.errors import InputError
-from slbench.core.types import Aperture, Gt, NotNegative, Positive
-from slbench.core.values import Value, checked
+from slbench.core.validation.types import Aperture, Gt, NotNegative, Positive
+from slbench.core.validation.values import Value, checked
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.display import numbers
 from slbench.core.errors import InputError
+from slbench.core.show.display import numbers
 
 Array = NDArray[np.float64]
 

@@ -22,10 +22,10 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.display import block, numbers
 from slbench.core.errors import InputError
-from slbench.core.types import Finite, Positive
-from slbench.core.values import Value
+from slbench.core.show.display import block, numbers
+from slbench.core.validation.types import Finite, Positive
+from slbench.core.validation.values import Value
 from slbench.rig.device import Camera, Device, Projector
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners

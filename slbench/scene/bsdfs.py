@@ -12,8 +12,8 @@ from abc import abstractmethod
 from typing import Annotated, Any
 
 from slbench.core.registry import Registry
-from slbench.core.types import Fraction, Interval, Measure, NotNegative, Share
-from slbench.core.validation import Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Fraction, Interval, Measure, NotNegative, Share
 
 
 class Bsdf(Parameters):

@@ -27,7 +27,7 @@ from slbench.core.errors import InputError, located
 from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
 from slbench.core.registry import quoted
-from slbench.core.validation import validated
+from slbench.core.validation.values import validated
 from slbench.detector.base import DEFAULT as DEFAULT_DETECTOR
 from slbench.detector.base import detector_of
 from slbench.patterns import PatternSequence

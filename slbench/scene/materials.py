@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from slbench.core.errors import InputError
-from slbench.core.validation import shown, validated
+from slbench.core.validation.values import validated
+from slbench.core.validation.wording import shown
 from slbench.scene.bsdfs import DEFAULT, Bsdf, Diffuse, RoughConductor, RoughPlastic, bsdfs
 
 

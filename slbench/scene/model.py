@@ -11,10 +11,18 @@ from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Self
 
 from slbench.capture.focus import Focus
-from slbench.core.display import block, numbers
 from slbench.core.errors import InputError
-from slbench.core.types import Bounces, Fraction, MinLen, NotNegative, Positive, Samples, Vibration
-from slbench.core.values import Value
+from slbench.core.show.display import block, numbers
+from slbench.core.validation.types import (
+    Bounces,
+    Fraction,
+    MinLen,
+    NotNegative,
+    Positive,
+    Samples,
+    Vibration,
+)
+from slbench.core.validation.values import Value
 from slbench.detector.base import DetectorModel
 from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact

@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from slbench.capture.focus import MAX_SETTINGS, Focus
-from slbench.core.types import (
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import (
     Aperture,
     Bounces,
     Count,
@@ -28,7 +29,6 @@ from slbench.core.types import (
     Vector,
     Vibration,
 )
-from slbench.core.validation import Parameters
 from slbench.rig import Lens, Rig
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.display import block, share
 from slbench.core.errors import InputError
 from slbench.core.io import read_exr, write_exr
+from slbench.core.show.display import block, share
 
 Array = NDArray[np.float64]
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from slbench.capture.stack import FocusStack, FusedCapture
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 from slbench.patterns import Axis
 from slbench.scene.truth import GroundTruth
 
@@ -51,6 +52,8 @@ class FusionScore:
     fused_outside: Sharpness
     middle_inside: Sharpness
     middle_outside: Sharpness
+
+    __repr__ = brief
 
     def to_dict(self) -> dict[str, Any]:
         """Return the score as plain values for JSON."""

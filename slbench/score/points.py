@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.cloud.triangulation import PointCloud
-from slbench.core.display import block, length, share
-from slbench.core.document import Table
+from slbench.core.show.display import block, length, share
+from slbench.core.show.document import Table
 from slbench.patterns import PhaseMap
 from slbench.rig import Rig
 from slbench.scene.model import SceneObject

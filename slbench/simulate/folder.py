@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.cloud.triangulation import PointCloud
-from slbench.core.drawing import write_figure
 from slbench.core.io import atomic_folder, write_json, write_ply, write_provenance
+from slbench.core.show.drawing import write_figure
 from slbench.objects import Mesh
 from slbench.scene.truth import GroundTruth
 from slbench.score.points import point_errors

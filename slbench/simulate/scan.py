@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack, FusedCapture, WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
-from slbench.core.display import block
-from slbench.core.document import Table
-from slbench.core.drawing import figure
 from slbench.core.errors import InputError
+from slbench.core.show.display import block
+from slbench.core.show.document import Table
+from slbench.core.show.drawing import figure
 from slbench.patterns import PatternSequence, PhaseMap
 from slbench.rig import Pair, Projector
 from slbench.scene.model import Scene
@@ -240,7 +240,7 @@ def scan(
     weights : {"lit", "modulation"}
         Where a focus stack's settings are judged to be sharp (:mod:`slbench.capture.stack`).
     score : bool
-        False leaves out the score, which takes longer than the scan (:func:`score_scan`).
+        False leaves out the score (:func:`score_scan`).
     on_progress : callable, optional
 
     Returns

@@ -22,9 +22,9 @@ import scipy.sparse
 from numba import get_num_threads, njit, prange
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.display import block
 from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
+from slbench.core.show.display import block
 
 Marginal = Literal["u", "v", "uv"]
 

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from slbench.core.display import brief
-from slbench.core.document import Cloud, Page, Part, Picture, Table
 from slbench.core.io import atomic_folder, provenance, write_json
 from slbench.core.io.atomic import write_bytes
+from slbench.core.show.display import brief
+from slbench.core.show.document import Cloud, Page, Part, Picture, Table
 
 Verdict = Literal["reproduced", "in part", "not reproduced"]
 

@@ -19,8 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from scipy.spatial import KDTree
 
-from slbench.core.document import Picture
 from slbench.core.random import generator
+from slbench.core.show.document import Picture
 
 Array = NDArray[np.float64]
 

@@ -24,9 +24,9 @@ from slbench.calibration.target.indexing import index_grid
 from slbench.calibration.target.remap import remap
 from slbench.capture.capture import Capture
 from slbench.capture.stack import WeightSource
-from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.random import Word, derived_seed, generator
+from slbench.core.show.display import brief
 from slbench.patterns import Axis, PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene

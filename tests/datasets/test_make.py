@@ -689,7 +689,7 @@ def test_reading_an_index_starts_no_threads(made):
     # Arrow's pools abort a process that ends soon after they started, one time in ten.
     script = (
         "import os, sys, pyarrow.parquet\n"
-        "from slbench.datasets import index\n"
+        "from slbench.datasets.store import index\n"
         "content = open(sys.argv[1], 'rb').read()\n"
         "before = len(os.listdir('/proc/self/task'))\n"
         "index.decode(content, 'index')\n"

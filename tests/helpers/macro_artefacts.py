@@ -7,7 +7,7 @@ import pytest
 from slbench import objects
 from slbench.core import io, resources
 from slbench.core.errors import InputError
-from slbench.core.validation import validated
+from slbench.core.validation.values import validated
 
 
 def fresh(kind, parameters, where="parameters"):

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args, get_origin
 import annotated_types as at
 import numpy as np
 
-from slbench.core.wording import _base, _fields, _metadata
+from slbench.core.validation.wording import _base, _fields, _metadata
 
 #: Nothing that any field takes.
 STRANGER = object()

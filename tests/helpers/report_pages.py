@@ -7,8 +7,8 @@ from html.parser import HTMLParser
 import cv2
 import numpy as np
 
-from slbench.core.document import Cloud, Page, Picture, Table, Text
 from slbench.core.io import provenance
+from slbench.core.show.document import Cloud, Page, Picture, Table, Text
 
 #: Would run, were it taken for HTML anywhere.
 ATTACK = "<img src=x onerror='window.pwned=1'></script><script>window.pwned=1</script>&amp;\"$b$"

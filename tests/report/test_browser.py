@@ -16,7 +16,7 @@ import pytest
 from browsers import pixels
 from report_pages import ATTACK, attacked_page, cloud, plain_page
 
-from slbench.core.document import Page
+from slbench.core.show.document import Page
 from slbench.report.page import write_page
 
 #: Loading and drawing in software on a busy machine, ms.

@@ -21,8 +21,8 @@ from report_pages import (
     unpacked,
 )
 
-from slbench.core.document import Cloud, Page, Picture, Table
 from slbench.core.errors import InputError
+from slbench.core.show.document import Cloud, Page, Picture, Table
 from slbench.report.cloud import MOST_POINTS, MOST_TRUE_POINTS, Colouring, cloud_view
 from slbench.report.page import check_page_path, render_page, script_json, write_page
 

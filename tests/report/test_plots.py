@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 import slbench as sl
 from slbench.core import registry
-from slbench.core.drawing import figure
 from slbench.core.registry import resolved
+from slbench.core.show.drawing import figure
 from slbench.report.plots import DRAWERS
 
 

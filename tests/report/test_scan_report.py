@@ -11,7 +11,7 @@ from scenes_small import check_refused, run_cli, small, write_scene
 
 from slbench.calibration.baselines import compare_methods
 from slbench.calibration.selection import select_models
-from slbench.core.document import Cloud, Picture, Table
+from slbench.core.show.document import Cloud, Picture, Table
 from slbench.report.cloud import cloud_view
 from slbench.report.page import render_page
 from slbench.report.pages.calibration import calibration_page

@@ -7,8 +7,8 @@ import pytest
 from scenes_small import check_refused, run_cli
 
 from slbench.cli import bench
-from slbench.core.document import Cloud, Table
 from slbench.core.errors import InputError
+from slbench.core.show.document import Cloud, Table
 from slbench.thesis.outcome import Finding, Outcome
 from slbench.thesis.pictures import draw_cloud, new_figure, picture
 

@@ -5,8 +5,8 @@ import json
 import pytest
 from matplotlib.figure import Figure
 
-from slbench.core.document import Picture, Table
 from slbench.core.errors import InputError
+from slbench.core.show.document import Picture, Table
 from slbench.thesis.outcome import Finding, Outcome, write_outcome
 
 

@@ -31,7 +31,9 @@ from slbench.bench.claims.verdicts import ROUNDING
 from slbench.bench.compare.tiles import holm
 from slbench.core.errors import InputError
 from slbench.core.io import plain, read_json, write_json
-from slbench.core.validation import Finite, Parameters, validated
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Finite
+from slbench.core.validation.values import validated
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from slbench.bench.claims.file import Claim, load_claims
 from slbench.bench.claims.pools import Pools
 from slbench.bench.claims.verdicts import MAX_REPEATS, Verdict, judge_each, judge_mean
 from slbench.bench.statistics import Interval
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 
 Array = NDArray[np.float64]
 

@@ -31,13 +31,15 @@ from pydantic import Field
 from slbench.bench.claims.quantities import SPEED_FIELDS, family, pattern_set, unit, unknown
 from slbench.bench.claims.verdicts import least_repeats
 from slbench.core import resources
-from slbench.core.display import brief
 from slbench.core.errors import InputError, located
 from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
 from slbench.core.registry import quoted
-from slbench.core.types import Axes, Confidence, Samples, Shifts, Word
-from slbench.core.validation import Parameters, shown, validated
+from slbench.core.show.display import brief
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Axes, Confidence, Samples, Shifts, Word
+from slbench.core.validation.values import validated
+from slbench.core.validation.wording import shown
 
 Array = NDArray[np.float64]
 

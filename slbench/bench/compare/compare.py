@@ -40,9 +40,9 @@ from slbench.bench.compare.tiles import (
 )
 from slbench.bench.statistics import percentile_interval
 from slbench.capture.stack import WeightSource
-from slbench.core.document import Cloud
 from slbench.core.errors import InputError
 from slbench.core.random import tagged_seed
+from slbench.core.show.document import Cloud
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.stack import traced

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.sets import Equal
 from slbench.bench.compare.tiles import Pair
-from slbench.core.display import block, brief, length, share
-from slbench.core.document import Cloud, Table
-from slbench.core.drawing import figure
 from slbench.core.errors import InputError
+from slbench.core.show.display import block, brief, length, share
+from slbench.core.show.document import Cloud, Table
+from slbench.core.show.drawing import figure
 from slbench.patterns import PatternSequence
 
 Array = NDArray[np.float64]

@@ -25,10 +25,12 @@ from slbench.calibration.models.polynomials import (
     checked_inputs,
     polynomial_form,
 )
-from slbench.core.display import block, length
 from slbench.core.errors import InputError
 from slbench.core.io import read_json, write_json
-from slbench.core.validation import Finite, Parameters, validated
+from slbench.core.show.display import block, length
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Finite
+from slbench.core.validation.values import validated
 
 Array = NDArray[np.float64]
 

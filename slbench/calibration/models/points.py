@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.calibration.models.polynomials import VARIABLES, Axes, checked_inputs
-from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_table, write_table
+from slbench.core.show.display import brief
 
 Array = NDArray[np.float64]
 

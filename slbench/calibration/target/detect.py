@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from slbench.calibration.target.edges import SAMPLES_AT_ONCE, Ellipses, locate, refine, sample_rays
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 
 Array = NDArray[np.float64]
 

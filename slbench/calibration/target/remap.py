@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 from slbench.patterns import Axis, PhaseMap
 
 Array = NDArray[np.float64]

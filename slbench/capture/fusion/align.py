@@ -14,8 +14,8 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from slbench.capture.fusion.stack import Stack, frames
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 
 FloatArray = NDArray[np.float64]
 Motion = Literal["translation", "affine", "homography"]

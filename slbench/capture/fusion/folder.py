@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_colour
+from slbench.core.show.display import brief
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 _LUMA = np.array([0.299, 0.587, 0.114], dtype=np.float32)  # ITU-R BT.601

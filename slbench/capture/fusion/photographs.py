@@ -21,8 +21,8 @@ from slbench.capture.fusion.selective import (
     selective_weights,
 )
 from slbench.capture.fusion.stack import Stack
-from slbench.core.document import Cell, Table
 from slbench.core.io import atomic_folder, write_exr, write_png
+from slbench.core.show.document import Cell, Table
 
 Progress = Callable[[str, float, str], None]
 

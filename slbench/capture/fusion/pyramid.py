@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.fusion.stack import Stack, frames
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 
 FloatImage = NDArray[np.float32]
 _COARSEST = 8  # pixels: least side of the coarsest level

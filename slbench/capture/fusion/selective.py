@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.capture.fusion import _kernels
 from slbench.capture.fusion.measures import check_measure, measure_into
 from slbench.capture.fusion.stack import Stack, frames
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 
 FloatArray = NDArray[np.float64]
 Variant = Literal["corrected", "published"]

@@ -22,7 +22,7 @@ from slbench.cli.common import (
 )
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-from slbench.core.types import MAX_SAMPLES
+from slbench.core.validation.types import MAX_SAMPLES
 
 #: Heights and shifts of a preview.  The methods are compared on every other height: seven leave
 #: four to fit to, as many as a cubic in the height needs.

@@ -10,7 +10,7 @@ import typer
 from slbench.cli.common import AllowModules, Json, Seed, check_folder, print_json, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
-from slbench.core.types import MAX_SAMPLES
+from slbench.core.validation.types import MAX_SAMPLES
 
 
 @command("slbench design verify hardware/macro-ch6 scenes/hardware/table4.csv")

@@ -38,8 +38,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from slbench.cloud.registration.pairs import LEAST_PAIRS, Edge, Pair, View, align, voxel_size
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 from slbench.rig import Pose
 
 Array = NDArray[np.float64]

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from slbench.capture.capture import Capture
-from slbench.core.checks import require_whole
 from slbench.core.errors import InputError
 from slbench.core.random import derived_seed, generator
+from slbench.core.validation.checks import require_whole
 from slbench.datasets.read.stored import Sample
 from slbench.detector.base import DetectorModel
 from slbench.patterns import PatternSequence

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from slbench.core.checks import require_whole
 from slbench.core.errors import InputError
 from slbench.core.random import generator
+from slbench.core.validation.checks import require_whole
 
 #: Fractions such as 0.7 + 0.2 + 0.1 may exceed 1 by rounding.
 _ROUNDING = 1e-9

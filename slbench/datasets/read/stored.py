@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from slbench.capture.capture import MANIFEST as CAPTURE
 from slbench.capture.capture import Capture
-from slbench.core.checks import require_whole
-from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_json
+from slbench.core.show.display import brief
+from slbench.core.validation.checks import require_whole
 from slbench.datasets.store import sample, shards
 from slbench.datasets.store.storage import Storage
 from slbench.detector.base import DetectorModel

@@ -21,9 +21,9 @@ import numba
 import numpy as np
 
 from slbench.capture.capture import Capture
-from slbench.core.checks import require_whole
 from slbench.core.errors import InputError
 from slbench.core.random import generator
+from slbench.core.validation.checks import require_whole
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Chooser, Patterns, Recipe
 from slbench.datasets.read.stored import Sample

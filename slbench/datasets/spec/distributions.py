@@ -21,8 +21,9 @@ from pydantic import Field, model_validator
 from scipy.special import ndtr, ndtri
 
 from slbench.core.random import generator
-from slbench.core.types import Finite, NotNegative, Positive, Words
-from slbench.core.validation import Parameters, validated
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Finite, NotNegative, Positive, Words
+from slbench.core.validation.values import validated
 
 #: What a column of whole numbers holds.
 Whole = Annotated[int, Field(ge=-(2**63), lt=2**63), Words("a whole number of 64 bits")]

@@ -15,7 +15,7 @@ from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
 from slbench.core.modules import module_content
-from slbench.core.validation import shown
+from slbench.core.validation.wording import shown
 from slbench.datasets.store.sample import MODULE
 from slbench.objects.registry import artefacts
 

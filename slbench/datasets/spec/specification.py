@@ -50,8 +50,10 @@ from slbench.core.errors import InputError
 from slbench.core.io import plain, read_toml
 from slbench.core.modules import load_modules
 from slbench.core.registry import quoted
-from slbench.core.types import Share, Shifts
-from slbench.core.validation import Parameters, shown, validated
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Share, Shifts
+from slbench.core.validation.values import validated
+from slbench.core.validation.wording import shown
 from slbench.datasets.spec.distributions import (
     Distribution,
     column,

@@ -28,9 +28,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.display import brief
-from slbench.core.document import Cell, Table
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
+from slbench.core.show.document import Cell, Table
 from slbench.design.fringes.chain import any_error, unwrapping_chain
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.unwrapping import (

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.capture.capture import Capture
-from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_table, write_table
+from slbench.core.show.display import brief
 from slbench.patterns import Axis, Placed
 
 Array = NDArray[np.float64]

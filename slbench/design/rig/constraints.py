@@ -30,9 +30,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.random import generator
+from slbench.core.show.display import brief
 from slbench.design.rig.convex import separation
 from slbench.design.rig.hardware import VARIABLES, Hardware, Placement
 from slbench.rig import Camera, DesignVariables, Device

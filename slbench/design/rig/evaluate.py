@@ -28,8 +28,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 from slbench.design.rig._evaluate_maps import Maps
 from slbench.design.rig.constraints import CONSTRAINTS, placed_margins
 from slbench.design.rig.convex import coverage

@@ -20,12 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slbench.core import resources
-from slbench.core.display import brief
 from slbench.core.errors import InputError, located
 from slbench.core.io import read_table
-from slbench.core.types import Finite, Pair, Positive, Size
-from slbench.core.validation import Parameters, validated
-from slbench.core.values import Value
+from slbench.core.show.display import brief
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Finite, Pair, Positive, Size
+from slbench.core.validation.values import Value, validated
 from slbench.detector.base import DetectorModel, detector_of
 from slbench.detector.emva1288 import Detector
 from slbench.rig import (

@@ -32,8 +32,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import differential_evolution
 from scipy.stats import rankdata
 
-from slbench.core.display import brief
 from slbench.core.errors import InputError
+from slbench.core.show.display import brief
 from slbench.design.rig.constraints import CONSTRAINTS, diagnose, placed_margins
 from slbench.design.rig.evaluate import Evaluation, evaluate
 from slbench.design.rig.hardware import VARIABLES, Hardware, Placement

@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import spearmanr
 
 from slbench import objects
-from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import atomic_path
+from slbench.core.show.display import brief
 from slbench.design.rig.evaluate import Evaluation, evaluate
 from slbench.design.rig.hardware import Hardware, as_configurations
 from slbench.patterns import PatternSequence

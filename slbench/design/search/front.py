@@ -13,9 +13,9 @@ import moocore
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.display import brief
 from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
+from slbench.core.show.display import brief
 
 FloatArray = NDArray[np.float64]
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
 from slbench.objects.gears.gearmeasure import (
     layer_below,

@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from slbench.core.validation import Length
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import Artefact
 from slbench.objects.gears.gear import (
     FormError,

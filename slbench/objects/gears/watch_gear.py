@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Length
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import Artefact, Mesh
 from slbench.objects.gears.gear import (
     FormError,

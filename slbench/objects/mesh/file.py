@@ -16,7 +16,7 @@ import trimesh
 from pydantic import Field
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Parameters
+from slbench.core.validation.tables import Parameters
 from slbench.objects.artefact import Artefact, Mesh
 from slbench.objects.registry import ArtefactKind
 

@@ -20,7 +20,8 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import REFERENCE, Artefact, Mesh, PlaneFeature
 from slbench.objects.mesh.circles import FormError, circle, circle_segments, measure_circle
 from slbench.objects.registry import ArtefactKind

@@ -15,7 +15,7 @@ from matplotlib.ft2font import FT2Font, LoadFlags
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
-from slbench.core.validation import shown
+from slbench.core.validation.wording import shown
 
 #: Matplotlib gives outlines in 64ths, also in design units.
 _UNIT = 64.0

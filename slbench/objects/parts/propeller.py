@@ -25,7 +25,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import REFERENCE, Artefact, Mesh, PlaneFeature
 from slbench.objects.mesh.booleans import cylinder, to_mesh, to_solid
 from slbench.objects.mesh.circles import FormError, measure_circle

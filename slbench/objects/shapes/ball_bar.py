@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature, SphereFeature
 from slbench.objects.mesh.booleans import cylinder, to_mesh, to_solid
 from slbench.objects.mesh.circles import FormError

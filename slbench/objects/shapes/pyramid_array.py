@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import Field
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
 from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import WIDEST, Micrometres, cells, spacings

@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import Artefact, Mesh, SphereFeature
 from slbench.objects.registry import ArtefactKind
 

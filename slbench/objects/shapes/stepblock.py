@@ -15,7 +15,8 @@ from typing import Annotated
 from pydantic import Field
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
 from slbench.objects.mesh.solids import prism
 from slbench.objects.registry import ArtefactKind

@@ -20,7 +20,8 @@ import math
 import numpy as np
 
 from slbench.core.errors import InputError
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import Artefact
 from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import (

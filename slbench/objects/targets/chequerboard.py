@@ -11,7 +11,8 @@ can tell which end is up only if one of rows and columns is odd and the other ev
 
 import numpy as np
 
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects.artefact import Artefact
 from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import Count, cells, spacings, top_face

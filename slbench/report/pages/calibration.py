@@ -11,8 +11,8 @@ from slbench.calibration.baselines import Comparison
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection
 from slbench.calibration.summary import score_rows
-from slbench.core.document import Cell, Cloud, Page, Part, Picture, Table
 from slbench.core.io import provenance
+from slbench.core.show.document import Cell, Cloud, Page, Part, Picture, Table
 from slbench.twin.experiment import Experiment
 from slbench.twin.report import (
     method_rows,

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.comparison import Comparison, SetResult
 from slbench.bench.compare.tiles import Pair
-from slbench.core.document import Page, Picture, Table
 from slbench.core.io import atomic_folder, provenance, write_exr, write_json
 from slbench.core.io.atomic import write_bytes
+from slbench.core.show.document import Page, Picture, Table
 
 #: Maps beside one another; more sets go below.
 _COLUMNS = 4

@@ -15,9 +15,9 @@ import numpy as np
 import tomli_w
 from matplotlib.figure import Figure
 
-from slbench.core.document import Cell, Picture, Table
 from slbench.core.errors import InputError
 from slbench.core.io import plain
+from slbench.core.show.document import Cell, Picture, Table
 from slbench.datasets.manifest import Manifest
 from slbench.datasets.spec.distributions import column
 from slbench.datasets.spec.specification import from_dict

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from slbench.core.document import Cell, Cloud, Page, Part, Picture, Table, Text
 from slbench.core.io import provenance
+from slbench.core.show.document import Cell, Cloud, Page, Part, Picture, Table, Text
 from slbench.report.plots.scan import panels
 from slbench.score.fusion import FusionScore
 from slbench.score.points import Score, point_errors

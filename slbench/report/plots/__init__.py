@@ -1,6 +1,6 @@
 """Figures, drawn with matplotlib; which function draws what.
 
-A value that has a picture asks :mod:`slbench.core.drawing` for it, which finds the row of its
+A value that has a picture asks :mod:`slbench.core.show.drawing` for it, which finds the row of its
 type here: the value does not import how it is drawn.
 """
 

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.random import derived_seed
-from slbench.core.types import Samples, Seed
-from slbench.core.values import checked
+from slbench.core.validation.types import Samples, Seed
+from slbench.core.validation.values import checked
 from slbench.rig import Rig
 from slbench.scene.model import Light, SceneObject
 from slbench.simulate.render.mitsuba import dr, mi

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.cloud.triangulation import triangulate
-from slbench.core.document import Cloud
 from slbench.core.random import generator, tagged_seed
+from slbench.core.show.document import Cloud
 from slbench.design.rig.hardware import load_hardware
 from slbench.rig import Pose, Rig
 from slbench.scene.file import load_scene

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from slbench.bench.statistics import mean_interval
-from slbench.core.document import Cell, Picture, Table
+from slbench.core.show.document import Cell, Picture, Table
 from slbench.thesis.ch6.results import ObjectScan, PlaneSweep, StepHeights
 from slbench.thesis.pictures import colour_bar, draw_cloud, new_figure, picture
 

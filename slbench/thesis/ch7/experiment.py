@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.compare import compare
 from slbench.bench.compare.comparison import Comparison
-from slbench.core.document import Cloud
 from slbench.core.random import tagged_seed
+from slbench.core.show.document import Cloud
 from slbench.detector.emva1288 import Detector
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene

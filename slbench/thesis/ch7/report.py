@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from slbench.bench.compare.comparison import Comparison
-from slbench.core.document import Cell, Picture, Table
+from slbench.core.show.document import Cell, Picture, Table
 from slbench.scene.truth import GroundTruth
 from slbench.thesis.ch7.budget import Budget
 from slbench.thesis.ch7.results import Shaken

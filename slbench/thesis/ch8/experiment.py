@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from slbench.calibration.models.model import CalibrationModel
 from slbench.capture.focus import Focus
 from slbench.cloud.registration import STAGE_SIGMA_MM
-from slbench.core.document import Cloud, Picture, Table
 from slbench.core.random import tagged_seed
+from slbench.core.show.document import Cloud, Picture, Table
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.trial import noise_of_scene
 from slbench.scene.file import load_scene

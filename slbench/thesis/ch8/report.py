@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from slbench.calibration.models.model import COORDINATES
 from slbench.cloud.registration import STAGE_SIGMA_MM
-from slbench.core.document import Cell, Cloud, Picture, Table
 from slbench.core.random import generator
+from slbench.core.show.document import Cell, Cloud, Picture, Table
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.thesis.ch8.findings import _FIGURES
 from slbench.thesis.ch8.noise import MIDDLE_MM

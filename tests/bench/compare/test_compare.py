@@ -26,9 +26,9 @@ from slbench.bench.compare.tiles import (
 )
 from slbench.bench.statistics import percentile_interval
 from slbench.cloud.triangulation import triangulate
-from slbench.core.document import Cloud
 from slbench.core.errors import InputError
 from slbench.core.io import read_exr, read_json
+from slbench.core.show.document import Cloud
 from slbench.patterns import Fringes, relative_phase
 from slbench.report.pages.compare import comparison_page, draw, write_comparison
 from slbench.score.points import score

@@ -1,6 +1,7 @@
 import trimesh
 
-from slbench.core.validation import Length, Parameters
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Length
 from slbench.objects import Artefact, ArtefactKind, Mesh
 
 

@@ -1,4 +1,4 @@
-from slbench.core.types import Share
+from slbench.core.validation.types import Share
 from slbench.scene.bsdfs import Bsdf, grey
 
 

@@ -2,8 +2,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slbench.core.types import BitDepth, NotNegative, Positive
-from slbench.core.values import Value
+from slbench.core.validation.types import BitDepth, NotNegative, Positive
+from slbench.core.validation.values import Value
 from slbench.detector import DetectorModel
 from slbench.patterns import NoiseModel
 

@@ -22,7 +22,7 @@ from annotated_types import Ge, Gt, Interval, Le, Lt, MaxLen, MinLen
 
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
-from slbench.core.types import FINITE, Words
+from slbench.core.validation.types import FINITE, Words
 
 if TYPE_CHECKING:
     from pydantic import ValidationError

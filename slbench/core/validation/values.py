@@ -1,10 +1,9 @@
 """Values and arguments checked by their annotated types, and by nothing else.
 
-Three doors, one mechanism (types in :mod:`slbench.core.types`, messages in
-:mod:`slbench.core.wording`): :class:`Value` for the package's immutable values, :func:`checked`
-for the arguments of public functions, and :func:`validated` for the tables of files.  pydantic
-does the checking; it is imported when the first value is made, so that importing slbench costs
-nothing.
+Three doors, one mechanism (types in ``types``, messages in ``wording`` beside this module):
+:class:`Value` for the package's immutable values, :func:`checked` for the arguments of public
+functions, and :func:`validated` for the tables of files.  pydantic does the checking; it is
+imported when the first value is made, so that importing slbench costs nothing.
 
 Strict: a number written as text, or true for 1, is a slip and refused.  NumPy's scalars become
 Python's and lists become tuples, which immutable values hold.  Making a value costs about 5
@@ -35,7 +34,7 @@ from typing import (
 import numpy as np
 
 from slbench.core.errors import InputError
-from slbench.core.wording import described, first_error, shown
+from slbench.core.validation.wording import described, first_error, shown
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -93,7 +92,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     Examples
     --------
-    >>> from slbench.core.types import Percentile
+    >>> from slbench.core.validation.types import Percentile
     >>> @checked
     ... def level(percentile: Percentile) -> float:
     ...     return percentile

@@ -2,12 +2,6 @@
 
 from pydantic import BaseModel, ConfigDict
 
-from slbench.core.types import Finite, Length
-from slbench.core.values import validated
-from slbench.core.wording import shown
-
-__all__ = ["Finite", "Length", "Parameters", "shown", "validated"]
-
 
 class Parameters(BaseModel):
     """Base of the models of tables: unknown keys are errors, values do not change.

@@ -22,8 +22,9 @@ from slbench.capture.stack import _stack_table
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
-from slbench.core.validation import Parameters, validated
-from slbench.core.wording import _base, _fields
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.values import validated
+from slbench.core.validation.wording import _base, _fields
 from slbench.datasets.spec.distributions import Distribution
 from slbench.datasets.spec.specification import Specification
 from slbench.design.rig import hardware

@@ -13,8 +13,8 @@ import slbench
 from slbench.capture.capture import Capture, CaptureTable
 from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
-from slbench.core.types import Percentile, Samples
-from slbench.core.values import checked
+from slbench.core.validation.types import Percentile, Samples
+from slbench.core.validation.values import checked
 from slbench.design.rig.hardware import load_hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import load_artefact

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from slbench.core import display
-from slbench.core.display import block, brief, length, numbers, share
+from slbench.core.show import display
+from slbench.core.show.display import block, brief, length, numbers, share
 
 #: What a field may hold: long texts, many items, arrays with and without numbers, other values.
 FIELDS = st.recursive(

@@ -1,9 +1,9 @@
 """Annotated types: what numbers and words from people may be, each bound in one place.
 
-A type is written where the value is declared (a field of a :class:`~slbench.core.values.Value` or
-of a table of a file, an argument of a public function); what checks it is in
-:mod:`slbench.core.values` and :mod:`slbench.core.validation`, and what a message calls it in
-:mod:`slbench.core.wording`.  Importing this module does not import pydantic.
+A type is written where the value is declared: a field of a
+:class:`~slbench.core.validation.values.Value` or of a table of a file, an argument of a public
+function.  ``values`` and ``tables`` beside this module check it, ``wording`` says what a message
+calls it.  Importing this module does not import pydantic.
 """
 
 from __future__ import annotations

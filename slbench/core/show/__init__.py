@@ -1,0 +1,1 @@
+"""How values show themselves: as text, as parts of a report, as figures."""

@@ -1,0 +1,1 @@
+"""What people and files give, checked once where it comes in."""
