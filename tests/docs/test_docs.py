@@ -9,29 +9,19 @@ import shlex
 import subprocess
 import sys
 from importlib import metadata
-from pathlib import Path
 
 import numpy as np
 import pytest
 from browsers import chromium
+from pages import ALL, DOCS, FENCE, PAGES, ROOT, named_commands, shown_commands, text_of
 
 from slbench.cli import app
 from slbench.core import resources
 from slbench.design.rig.hardware import read_configurations
 
-ROOT = Path(__file__).parents[2]
-DOCS = ROOT / "docs"
-PAGES = sorted(DOCS.rglob("*.md"))
-ALL = [ROOT / "README.md", *PAGES]
 IDS = [str(path.relative_to(ROOT)) for path in ALL]
 
-FENCE = re.compile(r"^( *)```(\S*)\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"!?\[[^\]]*\]\(([^()\s]+)\)")
-
-
-@functools.cache
-def text_of(path):
-    return path.read_text(encoding="utf-8")
 
 
 def prose(path):
@@ -99,17 +89,10 @@ def test_tests_that_are_named_exist(path):
 
 # -- commands ----------------------------------------------------------------------------------
 
-#: A line that starts with the command's name, in any fenced or indented block.
-COMMAND = re.compile(r"^(?:    |\$ )?(slbench [a-z].*)$", re.MULTILINE)
-INLINE = re.compile(r"`(slbench [a-z][^`]*)`")
-
 
 def commands(path):
-    """Return the command lines of a page; of ``A; slbench B`` both."""
-    text = text_of(path).replace("\\\n", " ")
-    for line in COMMAND.findall(text):
-        yield from (part.strip() for part in re.sub(r"\s#.*", "", line).split(";"))
-    yield from INLINE.findall(text)
+    """Return the command lines of a page, those within sentences too."""
+    return shown_commands(path) + named_commands(path)
 
 
 @functools.cache

@@ -19,6 +19,8 @@ NOT_CLAIMS = {
     "Python 3.11": "a requirement",
     "about half a minute; later ones": "compiling, before any claim could be measured",
     "HDF5": "the name of a file format",
+    "the 3D Surface Profiling of": "a title",
+    "Thousands of scans": "a use, not a measurement",
     "takes twenty minutes": "the time of a reader",
     "At 640 x 480 with 64 samples a pixel": "the setting of the claims that follow",
 }

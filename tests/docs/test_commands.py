@@ -1,0 +1,226 @@
+"""Every command that a page shows runs, in the order of the page, in a folder of its own.
+
+A full-size command runs with the options of `REDUCED` added, which makes it small and leaves all
+else as it stands.  What a page takes for granted, such as a folder of photographs, is made by
+`GIVEN` where no command before has written it.  The tour is checked word by word elsewhere.
+"""
+
+import functools
+import re
+import shlex
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+from focus_stacks import slanted_plane
+from pages import ALL, DOCS, FENCE, ROOT, named_commands, shown_commands, text_of
+from scenes_small import run_cli
+from stage_views import stage_views
+
+from slbench.cli import app, bench
+from slbench.core.io import write_ply, write_table
+
+PAGES = [page for page in [*ALL, ROOT / "results" / "README.md"] if page.name != "tour.md"]
+
+#: Options that make a command small, by its words; those that it has already are left out.
+REDUCED = {
+    "scan": "--preview",
+    "compare": "--preview --repeats 2",
+    "check": "--preview",
+    "bench": "--preview",
+    "calibrate run": "--z-steps 4 --y-steps 1 --spp 4",
+    "design rig": "--evaluations 200",
+    "design verify": "--spp 1 --count 3",
+    "design patterns --scene": "--preview --repeats 2 --scans 2",
+    "design noise": "--preview --repeats 2 --heights 2 --max-fringes 4",
+    "dataset make": "--preview --count 3 --workers 0",
+}
+
+#: Commands that run with other words.
+INSTEAD = {
+    # No gear is among three samples.
+    "kind == 'gear'": "lit_pixels > 0",
+    # A focus stack at a quarter of the width is 16 times the work of its preview.
+    "--divisor 4": "--divisor 8",
+}
+
+#: Pages whose commands take a second or two.
+QUICK = {"register.md"}
+
+
+# -- what a page takes for granted --------------------------------------------------------------
+
+
+def capture_of(scene, path):
+    assert run_cli("scan", scene, "--preview", "--out", path).status == 0
+
+
+def photographs(path):
+    path.mkdir()
+    for number, frame in enumerate(slanted_plane(frames=5).stack()):
+        cv2.imwrite(str(path / f"{number}.png"), np.rint(255 * np.clip(frame, 0, 1)))
+
+
+def noise_table(path):
+    rows = [(fringes, 0.0, 0.05) for fringes in (1, 2, 4, 8, 16, 32, 64)]
+    write_table(path, ("fringes", "z_mm", "sigma_rad"), np.array(rows))
+
+
+@functools.cache
+def views():
+    return stage_views("rough", 3, seed=7, count=20_000)
+
+
+def view(number, path):
+    write_ply(path, views().clouds[number - 1], {})
+
+
+def folder_of_views(path):
+    path.mkdir()
+    for number in (1, 2, 3):
+        view(number, path / f"view{number}.ply")
+
+
+def claims(path):
+    """Write the claims file that the page on claims shows, with fewer repeats."""
+    (text,) = (
+        match[3]
+        for match in FENCE.finditer(text_of(DOCS / "how-to" / "claims.md"))
+        if match[3].startswith(f"# {path.name}\n")
+    )
+    text = re.sub(r"^(repeats|scans) = .*\n", "", text, flags=re.MULTILINE)
+    path.write_text(text.replace("[[claim]]\n", "[[claim]]\nrepeats = 2\n"), encoding="utf-8")
+
+
+def data_set(path):
+    words = ("dataset", "make", "mixed", "--out", path, *REDUCED["dataset make"].split())
+    assert run_cli(*words).status == 0
+
+
+GIVEN = {
+    "points.csv": lambda path: shutil.copy(ROOT / "results" / "calibration" / "points.csv", path),
+    "noise.csv": noise_table,
+    "accuracy.claims.toml": claims,
+    "photographs": photographs,
+    "data": data_set,
+    "views": folder_of_views,
+    "stage.csv": lambda path: write_table(path, ("x_mm", "y_mm", "z_mm"), views().positions),
+    **{f"view{k}.ply": functools.partial(view, k) for k in (1, 2, 3)},
+    **{f"run{k}": functools.partial(capture_of, "plane") for k in (1, 2, 3)},
+    "out/step-block": functools.partial(capture_of, "step-block"),
+    "out/ch8-plane": functools.partial(capture_of, "ch8-plane"),
+    "out/coin": functools.partial(capture_of, "ch8-coin-3"),
+}
+
+
+# -- the commands -------------------------------------------------------------------------------
+
+
+def command_of(words):
+    """Return the words that name a command, and the command; None for a group."""
+    command, count = app, 0
+    while hasattr(command, "commands"):
+        if count == len(words) or words[count] not in command.commands:
+            return words[:count], None
+        command = command.commands[words[count]]
+        count += 1
+    return words[:count], command
+
+
+def is_whole(line):
+    """Tell a command that a sentence shows whole from one that it only names."""
+    words = shlex.split(line)[1:]
+    if any(word.isupper() for word in words):
+        return False  # a placeholder
+    path, command = command_of(words)
+    if command is None:
+        return False
+    try:
+        command.make_context(" ".join(path), words[len(path) :])
+    except Exception:  # an argument is missing
+        return False
+    return len(words) > len(path)
+
+
+def commands_of(page):
+    """Return the commands of a page, each once."""
+    named = [line for line in named_commands(page) if is_whole(line)]
+    return list(dict.fromkeys([*shown_commands(page), *named]))
+
+
+def reduced(line):
+    """Return the words of a command that is small enough for a test."""
+    for words, others in INSTEAD.items():
+        line = line.replace(words, others)
+    words = shlex.split(line)[1:]
+    path, _ = command_of(words)
+    name = " ".join(path)
+    added = REDUCED.get(f"{name} --scene" if "--scene" in words else name, "").split()
+    if "--divisor" in words and "--preview" in added:
+        added.remove("--preview")
+    if name == "calibrate run" and "--divisor" not in words:
+        added = ["--preview", *added]
+    return [*words, *(word for word in added if word != "--preview" or word not in words)]
+
+
+def make_given(words, folder):
+    """Write what a command reads and nothing before it has written."""
+    written = {words[k + 1] for k, word in enumerate(words) if word in ("--out", "--plot")}
+    for word in words:
+        path = folder / word
+        if word in GIVEN and word not in written and not path.exists():
+            path.parent.mkdir(exist_ok=True, parents=True)
+            GIVEN[word](path)
+
+
+CASES = [
+    pytest.param(
+        page,
+        id=str(page.relative_to(ROOT)),
+        marks=() if page.name in QUICK else pytest.mark.slow,
+    )
+    for page in PAGES
+    if commands_of(page)
+]
+
+
+@pytest.fixture
+def workplace(tmp_path, monkeypatch):
+    """A folder that has what the repository has, and the experiments of the thesis run once."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("scenes", "tests", "docs"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    monkeypatch.setattr(bench, "runner", lambda name: functools.partial(experiment, name))
+    return tmp_path
+
+
+RUNNER = bench.runner
+
+
+@functools.cache
+def outcome_of(name, seed):
+    return RUNNER(name)(preview=True, seed=seed)
+
+
+def experiment(name, *, preview, seed, on_progress=None):
+    assert preview
+    return outcome_of(name, seed)
+
+
+@pytest.mark.parametrize("page", CASES)
+def test_the_commands_of_a_page_run(page, workplace):
+    for line in commands_of(page):
+        words = reduced(line)
+        make_given(words, workplace)
+        outcome = run_cli(*words)
+        # A claim may fail or be undecided.
+        expected = (0, 1, 3) if words[0] == "check" else (0,)
+        assert outcome.status in expected, f"{line}\n{outcome.err}"
+
+
+def test_the_tables_name_what_pages_show():
+    lines = [line for page in PAGES for line in commands_of(page)]
+    assert len(lines) > 80
+    assert all(any(words in line for line in lines) for words in INSTEAD)
+    assert all(any(word in shlex.split(line) for line in lines) for word in GIVEN)
