@@ -64,7 +64,7 @@ def predictive_scale(residuals: Array, leverage: Array, scale: float) -> float:
 def gross_points(
     residuals: Array, leverage: Array, y: Array, coefficients: int
 ) -> NDArray[np.bool_]:
-    """Tell which points are wrong rather than noisy: off by :data:`GROSS` robust deviations.
+    """Return a mask of gross points: those off by :data:`GROSS` robust deviations or more.
 
     Residuals are divided by the root of ``1 - h``, which gives all of them the deviation of the
     noise: by ``1 - h`` a good point that stands alone would look wrong.  No deviation is

@@ -43,7 +43,7 @@ def score_table(selection: Selection) -> Table:
 
 
 def gross_note(selection: Selection) -> str:
-    """Say how many points were left out of the choice, and why."""
+    """Return a sentence on how many points were left out of the choice, and why."""
     share = f"{len(selection.gross)} of {len(selection.train)} training points"
     return f"{share}, off by more than {GROSS:g} deviations, left out of choice and domain"
 

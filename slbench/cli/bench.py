@@ -25,7 +25,8 @@ CHAPTERS = ("ch6", "ch7", "ch8")
 @command("slbench bench ch7 --preview --out out/bench --report out/bench/ch7.html")
 def bench(
     chapter: Annotated[
-        Literal["ch6", "ch7", "ch8", "all"], typer.Argument(help="Chapter of the thesis.")
+        Literal["ch6", "ch7", "ch8", "all"],
+        typer.Argument(help="Rig (ch6), patterns (ch7), microscope (ch8), or all."),
     ],
     out: Annotated[
         Path, typer.Option(help="Folder to write to; each chapter gets one of its own in it.")
@@ -42,7 +43,7 @@ def bench(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Re-run the experiments of the thesis; judge its findings."""
+    """Re-run published experiments; judge their findings."""
     from slbench.thesis.outcome import joint_page, write_outcome
 
     chosen = CHAPTERS if chapter == "all" else (chapter,)

@@ -153,7 +153,7 @@ class PlaneFeature:
     y_mm: tuple[float, float]
 
     def contains(self, points_mm: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which points lie over the interior, whatever their z.
+        """Return a mask of points over the interior, whatever their z.
 
         Parameters
         ----------

@@ -201,7 +201,7 @@ def _packed(values: Array) -> str:
 def _note(
     cloud: Cloud, finite: int, inside: int, shown: int, true_shown: int, true_points: int
 ) -> str:
-    """Say what is shown and what is not."""
+    """Return a sentence on how much of the cloud is shown."""
     if not len(cloud.points):
         return "The cloud has no points."
     text = f"{shown:,} of {len(cloud.points):,} measured points shown"

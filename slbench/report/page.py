@@ -151,7 +151,7 @@ def _block(part: Part) -> dict[str, Any]:
 
 
 def _numeric(rows: Sequence[Sequence[str]]) -> list[bool]:
-    """Tell which columns of shown cells hold numbers, to be set flush right."""
+    """Return a flag for each column: whether its cells are numbers, to be set flush right."""
     return [
         all(_NUMBER.fullmatch(cell) or cell in ("", "–") for cell in column)
         for column in zip(*rows, strict=True)

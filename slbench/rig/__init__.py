@@ -1,4 +1,4 @@
-"""Optics, cameras, projectors and rigs (DESIGN sections 3, 5 and 7)."""
+"""Optics, cameras, projectors and rigs."""
 
 from slbench.rig.device import Camera, Device, Projector
 from slbench.rig.lens import Lens

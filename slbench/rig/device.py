@@ -126,7 +126,7 @@ class Device(Value):
         return np.stack((u, v), axis=-1)
 
     def contains(self, pixels: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which pixel coordinates (..., 2) lie on the panel (its edges at -1/2)."""
+        """Return a mask of pixel coordinates (..., 2) on the panel, whose edges are at -1/2."""
         p = np.asarray(pixels, dtype=np.float64)
         inside = np.all(p >= -0.5, axis=-1)
         return inside & (p[..., 0] < self.width - 0.5) & (p[..., 1] < self.height - 0.5)

@@ -32,7 +32,7 @@ from slbench.rig.pose import Pose, box_corners
 
 Array = NDArray[np.float64]
 
-#: World axes in the design frame: a turn by pi about x (DESIGN section 3).
+#: World axes in the design frame: a turn by pi about x.
 _DESIGN_TO_WORLD = np.diag([1.0, -1.0, -1.0])
 
 

@@ -160,7 +160,7 @@ def fit_features(
 
 
 def core(values: Array) -> NDArray[np.bool_]:
-    """Tell which values (n,) are no outliers, by median and MAD."""
+    """Return a mask of inliers among values (n,), by median and MAD."""
     if not values.size:
         return np.zeros(0, bool)
     off = np.abs(values - np.median(values))

@@ -74,7 +74,7 @@ def default_path(claims_file: str | Path) -> Path:
 
 
 def is_timed(claim: Claim) -> bool:
-    """Tell whether a claim is about time, which belongs to a machine."""
+    """Return whether a claim is about time, which belongs to a machine."""
     return claim.family == "speed" or any(q.endswith(".seconds") for q in claim.quantities)
 
 

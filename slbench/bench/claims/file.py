@@ -1,4 +1,4 @@
-"""Claims files: what a measurement is said to do, in TOML.
+"""Parse claims files: bounds on measured quantities, written in TOML.
 
 ::
 

@@ -117,7 +117,7 @@ class Feature:
         return f"{self.owner}/{self.name}"
 
     def matches(self, selector: str) -> bool:
-        """Tell whether a selector means this feature."""
+        """Return whether a selector names this feature."""
         owner, slash, last = selector.rpartition("/")
         if selector in ("*", self.label, self.name):
             return True

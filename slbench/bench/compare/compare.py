@@ -233,7 +233,7 @@ def _true(scene: Scene) -> GroundTruth:
 
 
 def _common(found: dict[str, Repeats], repeats: int) -> NDArray[np.bool_]:
-    """Tell which pixels every set measured often enough to be compared."""
+    """Return a mask of pixels that every set measured often enough to be compared."""
     least = max(2, math.ceil(MEASURED * repeats))
     often = {name: result.scans >= least for name, result in found.items()}
     common = np.logical_and.reduce(list(often.values()))

@@ -287,7 +287,7 @@ def p_value(differences: Array) -> float:
 
 
 def holm(p_values: Sequence[float], family_error: float = FAMILY_ERROR) -> list[bool]:
-    """Tell which of several p values are significant (Holm's step-down correction).
+    """Return a mask of the significant p values (Holm's step-down correction).
 
     One that is not a number counts as 1: it proves nothing, and is one of the family.
     """

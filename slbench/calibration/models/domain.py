@@ -60,7 +60,7 @@ class Domain:
         return cls(np.unique(np.round(faces, 12), axis=0))
 
     def inside(self, standardised: Array) -> NDArray[np.bool_]:
-        """Tell which standardised inputs (n, 3 or more) lie in the body, (n,)."""
+        """Return a mask (n,) of standardised inputs (n, 3 or more) inside the body."""
         result = np.empty(len(standardised), dtype=np.bool_)
         _inside(np.ascontiguousarray(standardised[:, :SIZE]), self.half_spaces, result)
         return result

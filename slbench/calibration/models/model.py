@@ -156,7 +156,7 @@ class CalibrationModel:
         return result / self.standardisation.scale
 
     def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which inputs (n, k) lie in the domain; elsewhere the model extrapolates."""
+        """Return a mask of inputs (n, k) in the domain; elsewhere the model extrapolates."""
         inputs = self._checked(points)
         result = np.empty(len(inputs), dtype=np.bool_)
         for part, standardised in self._passes(inputs):

@@ -316,7 +316,7 @@ def _vote(row, column, du, dv, radii, votes):  # type: ignore[no-untyped-def]
 
 
 def _first_within(places: Array, reach: Array) -> NDArray[np.bool_]:
-    """Tell which places (n, 2) have no earlier kept one within their or its reach (n,)."""
+    """Return a mask of places (n, 2) that no earlier kept one reaches, nor they it; reach (n,)."""
     kept = np.ones(len(places), dtype=np.bool_)
     if len(places) == 0:
         return kept
@@ -339,7 +339,7 @@ def _room(ellipses: Ellipses, shape: tuple[int, ...]) -> Array:
 
 
 def _sound(ellipses: Ellipses, low: float, high: float) -> NDArray[np.bool_]:
-    """Tell which fits are dots, whole or cut."""
+    """Return a mask of fits that are dots, whole or cut."""
     semi_axes, _ = ellipses.axes()
     sound = (ellipses.coverage > _LEAST_COVERAGE) & (ellipses.radii >= low)
     sound &= (ellipses.radii <= high) & (semi_axes[:, 1] > _FLATTEST * semi_axes[:, 0])

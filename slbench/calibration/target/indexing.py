@@ -184,7 +184,7 @@ def _grow(places: Array) -> tuple[NDArray[np.intp], Indices]:
 
 
 def _score(homography: Array, places: Array) -> float:
-    """Tell how well a lattice fits all dots: those at nodes, less half of the empty nodes.
+    """Score how well a lattice fits all dots: those at nodes, less half of the empty nodes.
 
     Steps that leap a gap leave every other dot between nodes; steps to a false dot may make
     a lattice with a node for every dot, but most of them empty.
@@ -216,7 +216,7 @@ def _steps(differences: Array) -> list[tuple[Array, Array]]:
 
 
 def _same_steps(pair: tuple[Array, Array], other: tuple[Array, Array]) -> bool:
-    """Tell whether two pairs of steps make nearly the same lattice."""
+    """Return whether two pairs of steps make nearly the same lattice."""
     cells = np.linalg.solve(np.stack(other, axis=1), np.stack(pair, axis=1))
     return bool(
         np.all(np.abs(cells - np.rint(cells)) < 0.2)

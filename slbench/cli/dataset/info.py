@@ -10,7 +10,7 @@ from slbench.cli.lazy import command
 
 @command("slbench dataset info data --json")
 def info(dataset: DatasetName, as_json: Json = False) -> None:
-    """Say what a data set holds."""
+    """Describe a data set: samples, kinds, size, versions."""
     from rich.table import Table
 
     from slbench.datasets.verify import information

@@ -17,7 +17,7 @@ def evaluate(
     hardware: HardwareName,
     configurations: Annotated[Path, typer.Argument(help="CSV of z_ref_mm, w_mm, ... beta_p_deg.")],
     full: Annotated[
-        bool, typer.Option("--full", help="Every camera pixel instead of the thesis's sample.")
+        bool, typer.Option("--full", help="Every camera pixel instead of a sample.")
     ] = False,
     allow_modules: AllowModules = False,
     as_json: Json = False,

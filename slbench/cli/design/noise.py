@@ -35,7 +35,7 @@ def noise(
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
-    """Measure phase noise by fringes and height, as thesis fig. 25."""
+    """Measure phase noise by number of fringes and height."""
     import numpy as np
     from rich.table import Table
 

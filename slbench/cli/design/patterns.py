@@ -60,7 +60,9 @@ def patterns(
     ] = None,
     criterion: Annotated[
         Literal["thesis", "bounded"],
-        typer.Option(help="The thesis's least error, or a bound on wrong fringe orders."),
+        typer.Option(
+            help="thesis: least error over a range of noise; bounded: few wrong fringe orders."
+        ),
     ] = "thesis",
     safety: Annotated[
         float,
@@ -71,7 +73,7 @@ def patterns(
     ] = None,
     phase_model: Annotated[
         Literal["exact", "thesis"],
-        typer.Option(help="thesis: ideal phases, exact or as thesis eq. 27 and 28."),
+        typer.Option(help="thesis: ideal phases, exact or sampled at both ends."),
     ] = "exact",
     method: Annotated[
         Literal["exact", "monte-carlo"], typer.Option(help="thesis: how errors are summed.")

@@ -13,7 +13,7 @@ from slbench.cli.lazy import command
 @command("slbench objects list", name="list")
 def list_objects(
     kinds: Annotated[
-        bool, typer.Option("--kinds", help="List what can be built, and whose it is.")
+        bool, typer.Option("--kinds", help="List what can be built, and which package brings it.")
     ] = False,
     as_json: Json = False,
 ) -> None:

@@ -196,7 +196,7 @@ def _decoded(path: str | Path) -> NDArray[Any]:
 
 
 def _jpeg_is_whole(content: bytes) -> bool:
-    """Tell whether a JPEG has its end; the decoder fills what is missing with grey.
+    """Return whether a JPEG has its end; the decoder fills what is missing with grey.
 
     Segments ahead of the first scan are skipped by their lengths, since previews in them
     have ends of their own (ITU-T T.81, annex B).  Within a scan, FF D9 is an end and no data.

@@ -31,7 +31,7 @@ PROVENANCE_LIBRARIES = (
 
 
 def provenance(parameters: Mapping[str, Any], seed: int | None) -> dict[str, Any]:
-    """Say what made a result: version, seed, parameters, libraries, machine, time.
+    """Return what made a result: version, seed, parameters, libraries, machine, time.
 
     Versions are read from installed metadata, so nothing heavy is imported.
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 _SHOWN = 60
-#: Units by the last word of a key; what is not here is said by the key alone.
+#: Units by the last word of a key; other keys are shown without one.
 _UNITS = {
     "mm": "mm",
     "um": "µm",

@@ -170,7 +170,7 @@ def _truth(scene: Scene) -> GroundTruth:
 
 
 def _too_dark(truth: GroundTruth, share: float) -> bool:
-    """Tell whether too few pixels see the first object lit; one is always needed."""
+    """Return whether too few pixels see the first object lit; one is always needed."""
     seen = int(np.count_nonzero(truth.lit & (truth.object_id == 0)))
     return seen < max(1.0, share * truth.lit.size)
 

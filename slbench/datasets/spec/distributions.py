@@ -145,7 +145,7 @@ class Distribution(Parameters):
         return float(ndtr(ends[0])), float(ndtr(ends[1]))
 
     def _above(self) -> bool:
-        """Tell whether all of `within` lies above the mean."""
+        """Return whether all of `within` lies above the mean."""
         if self.normal is None or self.within is None:
             return False
         return self.within[0] > self.normal[0]
@@ -190,7 +190,7 @@ def stream(seed: int, sample: int, draw: int, name: str) -> np.random.Generator:
 
 
 def is_distribution(value: object) -> bool:
-    """Tell whether a table stands for a distribution."""
+    """Return whether a table stands for a distribution."""
     return isinstance(value, Mapping) and any(way in value for way in _WAYS)
 
 

@@ -184,7 +184,7 @@ def _placed(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool
 
 
 def outside_volume(scene: Scene) -> bool:
-    """Tell whether the first object sticks out of the measurement volume."""
+    """Return whether the first object sticks out of the measurement volume."""
     item = scene.objects[0]
     placed = item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
     half = 0.5 * np.array(scene.rig.volume_mm)

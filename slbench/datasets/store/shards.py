@@ -37,7 +37,7 @@ def shard_name(shard: int) -> str:
 
 
 def is_member(name: str) -> bool:
-    """Tell whether a sample may have a file of that name."""
+    """Return whether a sample may have a file of that name."""
     return _MEMBER.fullmatch(name) is not None
 
 

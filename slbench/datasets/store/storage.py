@@ -64,7 +64,7 @@ class Storage:
         return f"{self.url.rstrip('/')}/{name}"
 
     def exists(self, name: str = "") -> bool:
-        """Tell whether a file or folder is there."""
+        """Return whether a file or folder exists."""
         return bool(self._filesystem.exists(self._path(name)))
 
     def size(self, name: str) -> int:
@@ -183,7 +183,7 @@ class Storage:
 
 
 def is_temporary(name: str) -> bool:
-    """Tell whether a name is that of a file which this package has not finished writing."""
+    """Return whether a name is that of an unfinished file of this package."""
     return _UNFINISHED.fullmatch(name) is not None
 
 

@@ -97,7 +97,7 @@ def placed_margins(hardware: Hardware, placement: Placement) -> Array:
 
 
 def explain(hardware: Hardware, configuration: ArrayLike | DesignVariables) -> list[str]:
-    """Say in sentences what is wrong with a configuration.
+    """Explain in sentences what is wrong with a configuration.
 
     Returns
     -------

@@ -47,7 +47,7 @@ AnyDevice = TypeVar("AnyDevice", bound=Device)
 #: Names of the six design variables, as in files.
 VARIABLES = ("z_ref_mm", "w_mm", "h_mm", "l_mm", "alpha_p_deg", "beta_p_deg")
 
-_FLIP = np.array([1.0, -1.0, -1.0])  # world axes in the design frame (DESIGN section 3)
+_FLIP = np.array([1.0, -1.0, -1.0])  # world axes in the design frame
 #: A projector's axis closer to parallel to the reference plane than this never meets it.
 _GRAZING = 1e-9
 #: A camera this close to the point it aims at (mm) has no direction.

@@ -181,7 +181,7 @@ def _check_loaded(
 
 
 def nondominated(f: ArrayLike) -> NDArray[np.bool_]:
-    """Say which points no other point dominates; of equal points, only the first counts.
+    """Return a mask of nondominated points; of equal points, only the first counts.
 
     Parameters
     ----------

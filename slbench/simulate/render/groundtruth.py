@@ -123,7 +123,7 @@ class _Rays:
         return which, np.where(which >= 0, hit.prim_index.numpy(), 0).astype(np.int64)
 
     def _seen(self, point: Array, normal: Array, hit: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Tell which points face the projector's lens centre and have a free view of it."""
+        """Return a mask of points that face the projector's lens centre with a free view of it."""
         source = self.projector.chief_origin(point)
         facing = hit & (np.sum((source - point) * normal, axis=-1) > 0)
         facing &= self.projector.pose.to_local(point)[:, 2] > 0

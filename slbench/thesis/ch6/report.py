@@ -36,7 +36,7 @@ def plane_table(sweep: PlaneSweep, thesis: Mapping[str, Sequence[float]]) -> Tab
 
 
 def gap_table(sweep: PlaneSweep, thesis: Mapping[str, Sequence[float]]) -> Table:
-    """Say what phase noise would explain the thesis's absolute errors alone."""
+    """Return what phase noise would explain the thesis's absolute errors alone."""
     rows = []
     for i, (name, theirs) in enumerate(thesis.items()):
         total, floor = sweep.rms_mm[i].mean(), sweep.floor_mm[i].mean()

@@ -267,7 +267,7 @@ class Merged:
 
     @property
     def _upper(self) -> NDArray[np.bool_]:
-        """Tell which points lie above the middle of the true heights of level surface."""
+        """Return a mask of points above the middle of the true heights of level surface."""
         heights = self.true_z_mm[self.level & np.isfinite(self.true_z_mm)]
         if not heights.size:
             return np.zeros(len(self.points), np.bool_)

@@ -206,7 +206,7 @@ def _requested(variant: str | None) -> tuple[str | None, str]:
 
 
 def _compiled_in(variant: str) -> bool:
-    """Tell whether the installed Mitsuba has a variant; from its files, so as not to import it."""
+    """Return whether the installed Mitsuba has a variant, by its files: nothing is imported."""
     if loaded := sys.modules.get("mitsuba"):
         return variant in loaded.variants()
     try:

@@ -83,7 +83,7 @@ def find_llvm() -> tuple[Path, Version]:
 
 
 def advice(platform: str = sys.platform) -> str:
-    """Say how to install an LLVM on this kind of machine."""
+    """Return how to install an LLVM on this kind of machine."""
     if platform == "darwin":
         return "install it with: brew install llvm"
     if platform == "win32":
@@ -92,7 +92,7 @@ def advice(platform: str = sys.platform) -> str:
 
 
 def library_version(path: Path | str) -> tuple[Version | None, str]:
-    """Tell the version of a libLLVM without loading it into this process.
+    """Return the version of a libLLVM without loading it into this process.
 
     Parameters
     ----------

@@ -108,7 +108,7 @@ class PanelOptics:
         return dr.rcp(scale)
 
     def inside(self, pixel: mi.Point2f) -> mi.Bool:
-        """Tell whether a pixel position lies on the panel."""
+        """Return whether a pixel position lies on the panel."""
         return (
             (pixel.x >= -0.5)
             & (pixel.y >= -0.5)
