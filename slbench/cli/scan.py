@@ -53,9 +53,7 @@ def scan(
     weights: Weights = "lit",
     score: Annotated[
         bool,
-        typer.Option(
-            "--score/--no-score", help="Score the points; takes longer than the scan itself."
-        ),
+        typer.Option("--score/--no-score", help="Score the points against the truth."),
     ] = True,
     picture: Annotated[
         bool, typer.Option("--picture/--no-picture", help="Draw summary.png.")
