@@ -1,4 +1,7 @@
-"""Settings for all tests: reproducible examples, a cache of their own, no windows."""
+"""Settings for all tests: reproducible examples, a cache of their own, no windows.
+
+Set before anything imports NumPy or Numba, which read their settings once.
+"""
 
 import fcntl
 import os
@@ -7,9 +10,13 @@ import threading
 from typing import Any
 
 from hypothesis import settings
-from numba.core.dispatcher import Dispatcher
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+
+# Two workers fill two cores.  Idle threads of linear algebra and of Numba's loops would spin
+# between calls, which takes more processor time than the small problems of the tests.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 WORKER = "PYTEST_XDIST_WORKER" in os.environ
 
@@ -31,12 +38,14 @@ def compile_in_turn() -> None:
     Numba looks into its cache on disk before it compiles, under no lock between processes: two
     workers that reach a function at once would both compile it.
     """
+    from numba.core.dispatcher import Dispatcher
+
     compile_alone = Dispatcher.compile
     turn = threading.RLock()
     file = open(__file__)  # noqa: SIM115 (held for the whole run)
     depth = 0
 
-    def compile_(self: Dispatcher, signature: Any) -> Any:
+    def compile_(self: Any, signature: Any) -> Any:
         nonlocal depth
         with turn:
             # A function that calls another compiles it inside its own turn.

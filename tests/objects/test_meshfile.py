@@ -133,7 +133,7 @@ def test_refused_parameters(block, tmp_path):
     path = export(block.mesh, tmp_path / "a.stl")
     for parameters, key in [
         ({"path": path}, "unit"),
-        ({"path": path, "unit": "furlong"}, "unit: .*'um', 'mm'"),
+        ({"path": path, "unit": "furlong"}, "unit: .*um, mm"),
         ({"path": path, "unit": "mm", "centre": "yes"}, "centre"),
         ({"path": path, "unit": "mm", "scale": 2}, "'scale'"),
         ({"path": "", "unit": "mm"}, "path"),
