@@ -276,9 +276,10 @@ class TestJointFit:
         # for the scatter matrix's own noise.  0.7 is far from both.
         assert np.mean(together) < 0.7 * np.mean(alone)
 
-    def test_vector_outliers_stand_out_against_the_correlation(self):
+    @pytest.mark.parametrize("seeds", [5, pytest.param(20, marks=pytest.mark.statistics)])
+    def test_vector_outliers_stand_out_against_the_correlation(self, seeds):
         alone, together = [], []
-        for seed in range(20):
+        for seed in range(seeds):
             rng, q, truth, noise = self.data(seed, correlation=0.98)
             y = truth + noise
             rows = rng.permutation(len(q))[:30]
@@ -290,6 +291,7 @@ class TestJointFit:
             separate = np.stack([irls(q, y[:, k]).coefficients for k in range(3)], axis=1)
             alone.append(np.sum((separate - exact) ** 2))
             assert joint.converged
+        # Single ratios are 0.63 and scatter by 0.11: the mean of five by 0.05.
         assert np.mean(together) < 0.8 * np.mean(alone)
 
     def test_clean_fit_agrees_within_its_noise(self):

@@ -96,8 +96,8 @@ def _build_in_child(folder: str) -> bytes:
 
 def test_many_processes_share_one_folder(folder):
     # Spawned, as Numba's and Mitsuba's threads do not survive a fork.
-    with multiprocessing.get_context("spawn").Pool(4) as pool:
-        results = pool.map(_build_in_child, [str(folder)] * 12)
+    with multiprocessing.get_context("spawn").Pool(2) as pool:
+        results = pool.map(_build_in_child, [str(folder)] * 6)
     assert set(results) == {
         objects.build_artefact("step_block", PARAMETERS).mesh.vertices.tobytes()
     }

@@ -396,7 +396,6 @@ def test_an_earlier_result_survives_a_refusal(tmp_path):
     ("make", "arguments", "said"),
     [
         (scene, ["scan", "work/scene.toml", "--patterns", "1,ten"], "ten"),
-        (lambda f: mesh_scene(f, b""), ["scan", "work/scene.toml"], "part.stl"),
         (capture, ["decode"], "'folder'"),
     ],
 )
