@@ -20,7 +20,7 @@ def box_corners(low: ArrayLike, high: ArrayLike) -> Array:
     return np.stack(np.meshgrid(*pairs, indexing="ij"), axis=-1).reshape(8, 3)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pose:
     """Where a device or an object is: ``X_world = rotation @ X_local + position``.
 
@@ -46,6 +46,17 @@ class Pose:
             raise InputError("pose position", "three finite numbers (mm)", position.tolist())
         object.__setattr__(self, "rotation", rotation)
         object.__setattr__(self, "position", position)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return np.array_equal(self.rotation, other.rotation) and np.array_equal(
+            self.position, other.position
+        )
+
+    def __hash__(self) -> int:
+        # By value, as -0.0 equals 0.0 but has other bytes.
+        return hash((*self.rotation.flat, *self.position))
 
     def __repr__(self) -> str:
         x, y, z = (numbers(axis) for axis in self.rotation.T)

@@ -121,9 +121,9 @@ class Rig:
 
     Parameters
     ----------
-    camera : Camera or mapping of str to Camera
+    cameras : Camera or mapping of str to Camera
         One camera goes by the name "camera".
-    projector : Projector or mapping of str to Projector
+    projectors : Projector or mapping of str to Projector
         One projector goes by the name "projector".
     volume_mm : (float, float, float)
         Size of the measurement volume along the world's axes, centred on the origin.
@@ -140,12 +140,14 @@ class Rig:
 
     def __init__(
         self,
-        camera: Camera | Mapping[str, Camera],
-        projector: Projector | Mapping[str, Projector],
+        cameras: Camera | Mapping[str, Camera],
+        projectors: Projector | Mapping[str, Projector],
         volume_mm: tuple[float, float, float] = (60.0, 70.0, 30.0),
     ) -> None:
-        cameras = camera if isinstance(camera, Mapping) else {ALONE.camera: camera}
-        projectors = projector if isinstance(projector, Mapping) else {ALONE.projector: projector}
+        if not isinstance(cameras, Mapping):
+            cameras = {ALONE.camera: cameras}
+        if not isinstance(projectors, Mapping):
+            projectors = {ALONE.projector: projectors}
         for name, value in (
             ("cameras", dict(cameras)),
             ("projectors", dict(projectors)),

@@ -1,5 +1,7 @@
 """The rig: configuration 5 of the thesis's table 4, frames, distances, bad design variables."""
 
+import copy
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +10,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from slbench.core.errors import InputError
-from slbench.rig import Camera, DesignVariables, Lens, Pair, Projector, Rig, rotation_yx
+from slbench.rig import Camera, DesignVariables, Lens, Pair, Pose, Projector, Rig, rotation_yx
 
 CAMERA = Camera(640, 480, (0.0074, 0.0074), Lens(16.0))
 PROJECTOR = Projector(1024, 768, (0.0108, 0.0108), Lens(28.0))
@@ -165,3 +167,13 @@ def test_a_changed_device_keeps_its_name_and_the_others():
     assert rig.pinholes().cameras["left"].lens.aperture_radius_mm == 0.0
     assert rig.focused({"right": 300.0}).cameras["right"].lens.focus_distance_mm == 300.0
     assert rig.focused({"right": 300.0}).cameras["left"] == rig.cameras["left"]
+
+
+def test_a_rig_is_a_value_that_is_compared_copied_and_changed():
+    rig = rig_of(CONFIGURATION_5)
+    assert pickle.loads(pickle.dumps(rig)) == rig
+    assert hash(rig.camera) == hash(copy.deepcopy(rig).camera)
+    larger = replace(rig, volume_mm=(90.0, 90.0, 90.0))
+    assert (larger.devices, larger.volume_mm[0]) == (rig.devices, 90.0)
+    assert larger != rig
+    assert rig.having(camera=rig.camera.posed(Pose())) != rig
