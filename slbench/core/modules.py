@@ -14,6 +14,7 @@ import hashlib
 import importlib.util
 import sys
 from collections.abc import Iterable
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -131,11 +132,12 @@ def _execute(path: Path, content: bytes, digest: str, where: str) -> None:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     try:
-        with located(where), adding(str(path)):
+        # Results alone are printed to stdout.
+        with located(where), adding(str(path)), redirect_stdout(sys.stderr):
             # The bytes that were hashed, and no cached byte code beside the file.
             exec(compile(content, str(path), "exec"), module.__dict__)
     except BaseException as error:  # whatever the file does, no half of it stays
         del sys.modules[name]
-        if isinstance(error, InputError) or not isinstance(error, Exception):
+        if isinstance(error, InputError) or not isinstance(error, Exception | SystemExit):
             raise
         raise InputError(where, "a module that runs", repr(error)) from error

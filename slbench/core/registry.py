@@ -16,8 +16,9 @@ from __future__ import annotations
 
 import difflib
 import importlib
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from functools import cache, partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
@@ -123,6 +124,8 @@ class Registry(Generic[T]):
             If the name is taken by something else, or the value is nothing of this kind.
         """
         where = f"{self.kind} {name!r}"
+        if not isinstance(name, str) or not name:
+            raise InputError(where, "a name", type(name).__name__)
         origin, undo = _adding[-1] if _adding else ("a program", [])
         if name in self._rows or name in self._points():
             raise InputError(where, "a name that is not taken", f"one of {self.origin(name)}")
@@ -162,8 +165,9 @@ class Registry(Generic[T]):
         (point,) = points
         where = f"{where} of {_package(point)}"
         try:
-            value = point.load()
-        except Exception as error:  # foreign code may fail in any way
+            with redirect_stdout(sys.stderr):  # results alone are printed there
+                value = point.load()
+        except (Exception, SystemExit) as error:  # foreign code may fail in any way
             raise InputError(where, f"{point.value} to be importable", repr(error)) from error
         self._check(value, where)
         if point.dist is not None:

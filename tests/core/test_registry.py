@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import sys
 import types
+from importlib.metadata import EntryPoint
 
 import pytest
 
-from slbench.core import modules
+from slbench.core import modules, registry
 from slbench.core.errors import InputError
 from slbench.core.io import provenance
 from slbench.core.registry import Registry
@@ -109,3 +110,28 @@ def test_names_that_are_taken_are_refused(tmp_path, name):
 def test_rows_of_another_kind_are_refused(tmp_path):
     message = refused(tmp_path, "NUMBERS.add('e', 'text')\n")
     assert message.endswith("number 'e': expected a builtins.float, got str")
+
+
+@pytest.mark.parametrize("name", [3, None, ""])
+def test_a_row_has_a_name(name, numbers):
+    with pytest.raises(InputError, match="expected a name"):
+        numbers.add(name, 1.5)
+    assert numbers.names() == ["pi"]
+
+
+def test_a_module_neither_ends_the_program_nor_speaks_in_its_results(tmp_path, capsys):
+    assert "expected a module that runs, got SystemExit" in refused(tmp_path, "raise SystemExit(0)")
+    run(tmp_path, "print('hello')")
+    assert capsys.readouterr() == ("", "hello\n")
+
+
+def test_an_installed_package_neither_ends_the_program_nor_speaks_in_its_results(
+    tmp_path, numbers, monkeypatch, capsys
+):
+    (tmp_path / "ends_when_imported.py").write_text("print('hello')\nraise SystemExit(0)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    point = EntryPoint("e", "ends_when_imported:E", numbers.group)
+    monkeypatch.setattr(registry, "_installed", lambda group: {"e": [point]})
+    with pytest.raises(InputError, match="to be importable, got SystemExit"):
+        numbers.get("e")
+    assert capsys.readouterr() == ("", "hello\n")
