@@ -234,6 +234,10 @@ class TestRefused:
             ),
             ({"objects": [{"name": "a", "kind": ["sphere"]}]}, ("objects[0].kind",)),
             (
+                {"objects": [{"kind": "sphere", "weigth": 2.0}]},
+                ("objects[0]: expected one of the keys", "got 'weigth'; did you mean 'weight'"),
+            ),
+            (
                 {"objects": [{"kind": "sphere", "parameters": 5}]},
                 ("objects[0].parameters", "a table with radius_mm"),
             ),
@@ -282,8 +286,16 @@ class TestRefused:
                 ("objects[0] (sphere)", "outside the measurement volume"),
             ),
             (
-                {"objects": [{"kind": "sphere", "material": "jelly"}]},
-                ("objects[0] (sphere)",),
+                {
+                    "objects": [
+                        {
+                            "kind": "sphere",
+                            "parameters": {"radius_mm": 1.0, "max_form_error_um": 50.0},
+                            "material": "jelly",
+                        }
+                    ]
+                },
+                ("objects[0].material",),
             ),
         ],
     )
@@ -296,6 +308,7 @@ class TestRefused:
             check(specification, files, 0, False, tmp_path)
         for word in words:
             assert word in str(caught.value)
+        assert "scene.toml" not in str(caught.value)  # a file of ours, that was made meanwhile
 
     @pytest.mark.parametrize(
         ("changes", "words"),
@@ -325,7 +338,7 @@ class TestRefused:
         specification, files = load(write_spec(tmp_path, objects=objects))
         place = tmp_path / "place"
         place.mkdir()
-        with pytest.raises(InputError, match=r"scene\.toml: bad\.ply: expected a mesh") as caught:
+        with pytest.raises(InputError, match=r"^tiny: scene: bad\.ply: expected a mesh") as caught:
             check(specification, files, 0, False, place)
         assert str(tmp_path) not in str(caught.value)
         assert len(list(place.iterdir())) < 20

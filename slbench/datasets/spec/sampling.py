@@ -214,7 +214,7 @@ def check(
     # As many as several samples have: that few draws fail says little of the others'.
     draws = max(specification.constraints.max_draws, _TRIED)
     for kind in kinds:
-        problems: list[str] = []
+        problems: list[str | InputError] = []
         for number in range(draws):
             drawn = draw(specification, seed, 0, number, kind=kind)
             place = folder / f"{kind}-{number}"
@@ -224,14 +224,33 @@ def check(
                 break
             problems.append(problem)
             # What depends on the draw says so; what does not will not come right.
-            if problem != _OUTSIDE and problems[-_SAME:] == [problem] * _SAME:
-                break
+            if isinstance(problem, InputError) and (
+                list(map(str, problems[-_SAME:])) == [str(problem)] * _SAME
+            ):
+                where = _as_called(_place(problem.where, kind), files)
+                got = _as_called(str(problem.got), files)
+                raise InputError(f"{specification.name}: {where}", problem.expected, got)
         if problem is not None:
             what = "scene" if kind is None else f"objects[{kind}] ({drawn.kind})"
             expected = f"a draw of {len(problems)} that makes a sample"
-            for name in files:  # as the user calls them
-                problem = problem.replace(name, name.removeprefix("mesh."))
-            raise InputError(f"{specification.name}: {what}", expected, f"none: {problem}")
+            got = f"none: {_as_called(str(problem), files)}"
+            raise InputError(f"{specification.name}: {what}", expected, got)
+
+
+def _place(where: str, kind: int | None) -> str:
+    """Return where the specification says what stands at a place of a drawn scene."""
+    place = where.removeprefix(SCENE).removeprefix(": ")
+    first = "objects[0]"  # the drawn object
+    if kind is not None and place.startswith(first):
+        return f"objects[{kind}]{place.removeprefix(first)}"
+    return f"scene: {place}" if place else "scene"
+
+
+def _as_called(text: str, files: Mapping[str, bytes]) -> str:
+    """Return a message with the names of files as the user wrote them."""
+    for name in files:
+        text = text.replace(name, name.removeprefix("mesh."))
+    return text
 
 
 def _problem(
@@ -240,14 +259,14 @@ def _problem(
     files: Mapping[str, bytes],
     folder: Path,
     preview: bool,
-) -> str | None:
+) -> str | InputError | None:
     """Return why a draw cannot make a sample, None if it may."""
     try:
         scene = place_scene(drawn, files, folder, preview)
         for patterns in specification.patterns:
             scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
     except InputError as error:
-        return str(error)
+        return error
     if specification.constraints.inside_volume and outside_volume(scene):
         return _OUTSIDE
     return None

@@ -69,6 +69,7 @@ from slbench.datasets.store.index import columns
 from slbench.datasets.store.sample import EXACT_BITS, RIG, capture_prefix
 from slbench.objects.registry import artefacts
 from slbench.scene.file import extended
+from slbench.scene.tables import ObjectTable
 
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 
@@ -326,6 +327,11 @@ def _object(
     table: dict[str, Any], path: Path, where: str, files: dict[str, bytes]
 ) -> dict[str, Any]:
     """Return a drawn object with its name and weight, checked, its files embedded."""
+    keys = [*_OWN, *ObjectTable.model_fields]
+    for key in table:
+        if key not in keys:
+            expected = f"one of the keys {', '.join(keys)}"
+            raise InputError(f"{path.name}: {where}", expected, quoted(key, keys))
     weight = table.get("weight", 1.0)
     if type(weight) not in (int, float) or not 0.0 < weight < float("inf"):
         raise InputError(f"{path.name}: {where}.weight", "a positive number", repr(weight))
