@@ -426,15 +426,14 @@ def _stack_table(distances: tuple[str, ...]) -> Any:
 
 
 def _focus(path: Path, given: Mapping[str, tuple[float, ...]], devices: Pair) -> Focus | None:
-    wanted = [name + _FOCUS for name in devices]
+    names = {name + _FOCUS: name for name in devices}
     if not given:
         return None
-    for key in (*given, *wanted):
-        if key not in given or key not in wanted:
-            found = quoted(key, wanted) if key in given else ", ".join(given)
-            raise InputError(path, f"{' and '.join(wanted)}, or neither", found)
+    for key in given:
+        if key not in names:
+            raise InputError(path, f"{' and '.join(names)}, one or neither", quoted(key, [*names]))
     with located(path):
-        return Focus({name: given[name + _FOCUS] for name in devices})
+        return Focus({names[key]: values for key, values in given.items()})
 
 
 def _scaled(noise: NoiseModel, scale: float) -> NoiseModel:

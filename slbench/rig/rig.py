@@ -14,7 +14,7 @@ by pi about x.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, NamedTuple, Self
@@ -212,9 +212,7 @@ class Rig:
         --------
         ``rig.having(camera=replace(rig.camera, width=320))``
         """
-        for name in devices:
-            if name not in self.devices:
-                raise InputError("rig devices", f"one of {', '.join(self.devices)}", name)
+        self._check_names(devices)
         new: dict[str, Any] = {**self.devices, **devices}
         return type(self)(
             {name: new[name] for name in self.cameras},
@@ -223,7 +221,14 @@ class Rig:
         )
 
     def focused(self, distances_mm: Mapping[str, float]) -> Self:
-        """Return the rig with devices, by name, focused at other distances."""
+        """Return the rig with devices, by name, focused at other distances.
+
+        Raises
+        ------
+        InputError
+            If the rig has no such device.
+        """
+        self._check_names(distances_mm)
         return self._with_lenses(
             {name: self.devices[name].lens.refocused(d) for name, d in distances_mm.items()}
         )
@@ -233,6 +238,11 @@ class Rig:
         return self._with_lenses(
             {name: replace(d.lens, aperture_radius_mm=0.0) for name, d in self.devices.items()}
         )
+
+    def _check_names(self, names: Iterable[str]) -> None:
+        for name in names:
+            if name not in self.devices:
+                raise InputError("rig devices", f"one of {', '.join(self.devices)}", name)
 
     def _with_lenses(self, lenses: Mapping[str, Lens]) -> Self:
         devices = {name: replace(self.devices[name], lens=lens) for name, lens in lenses.items()}

@@ -153,6 +153,8 @@ def test_one_of_two_cameras_has_to_be_named():
         rig.pair(Pair("top", "projector"))
     with pytest.raises(InputError, match="left, right"):
         rig.having(camera=CAMERA)
+    with pytest.raises(InputError, match="left, right"):
+        rig.focused({"camera": 300.0})
 
 
 @pytest.mark.parametrize("cameras", [{}, {"projector": CAMERA}])
