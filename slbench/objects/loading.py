@@ -24,7 +24,7 @@ from pydantic import Field
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
-from slbench.core.registry import OWN
+from slbench.core.registry import OWN, quoted
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Finite
 from slbench.core.validation.values import validated
@@ -148,8 +148,9 @@ def load_artefact(name_or_path: str | Path) -> Artefact:
     for key, value in file.certified.items():
         where = f"{path.name}: certified.{key}"
         if key not in artefact.certified:
-            known = ", ".join(artefact.certified)
-            raise InputError(where, f"one of the dimensions {known}", "another")
+            known = list(artefact.certified)
+            expected = f"one of the dimensions {', '.join(known)}"
+            raise InputError(f"{path.name}: certified", expected, quoted(key, known))
         # A nanometre, and the rounding of a mesh file in single precision.
         if not abs(value - measured[key]) <= 1e-6 + 1e-6 * abs(value):
             raise InputError(where, f"{measured[key]:.9g} as the mesh has it", f"{value:.9g}")

@@ -286,7 +286,7 @@ step_1_height_mm = 1.0
     [
         ('kind = "step_block"', 'kind = "cube"', "a.toml: kind: expected one of plane"),
         ("step_1_height_mm = 1.0", "step_1_height_mm = 1.00001", "certified.step_1_height_mm"),
-        ("step_1_height_mm = 1.0", "step_2_height_mm = 1.0", "certified.step_2_height_mm"),
+        ("step_1_height_mm = 1.0", "step_2_height_mm = 1.0", "did you mean 'step_1_height_mm'"),
         ("[parameters]", "[parameters", "line 4, column 12"),
     ],
 )
