@@ -63,7 +63,9 @@ def capture_of(scene, path, seed=0):
 def photographs(path):
     path.mkdir()
     for number, frame in enumerate(slanted_plane(frames=5).stack()):
-        cv2.imwrite(str(path / f"{number}.png"), np.rint(255 * np.clip(frame, 0, 1)))
+        cv2.imwrite(
+            str(path / f"{number}.png"), np.rint(255 * np.clip(frame, 0, 1)).astype(np.uint8)
+        )
 
 
 def noise_table(path):
