@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack, FusedCapture, WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 from slbench.core.show.display import block
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
@@ -273,8 +273,11 @@ def scan(
 
     if samples is not None:
         scene = replace(scene, samples=samples)
-    # Refused before anything is traced: points of several pairs are not yet put together.
+    # Refused before anything is traced: points of several pairs are not yet put together, and
+    # patterns that cannot be decoded.
     only = scene.rig.only
+    with located(f"scene {scene.name}: patterns {scene.sequence.name}"):
+        scene.sequence.runs()
     views: dict[Pair, View] = {}
     for pair in scene.rig.pairs:
         rig = scene.rig.pair(pair)

@@ -474,3 +474,12 @@ def test_shipped_scenes_as_they_are(name):
         assert abs(step.measured_mm - step.nominal_mm) < 3 * step.uncertainty_mm
     for sphere in result.score.spheres:
         assert abs(sphere.radius_mm - 12.5) < 3 * sphere.radius_uncertainty_mm
+
+
+def test_patterns_that_cannot_be_decoded_are_refused_before_anything_is_traced():
+    stages = []
+    scene = load_scene("plane", preview=True).with_patterns("2,10")
+    with pytest.raises(InputError, match=r"scene plane: patterns 2,10: .*one fringe") as caught:
+        scan(scene, on_progress=lambda stage, fraction: stages.append(stage))
+    assert caught.value.got == 2
+    assert not stages
