@@ -165,6 +165,7 @@ def _draw_rigs(design: RigDesign, path: Path) -> None:
         for across, axes in enumerate(views):
             axes.set_axis_on()
             draw_rig(axes, rig, (), across)
+            axes.locator_params(axis="x", nbins=2)  # narrow drawings: more run into each other
         star = " (recommended)" if k == design.recommended else ""
         mu = 1e3 * design.evaluation.mu_mm[member]
         views[0].set_title(f"{k}{star}\nμ {mu:.0f} µm, {np.rad2deg(rig.angle):.0f}°", fontsize=9)

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from slbench.core.show.document import shown
 from slbench.patterns import Axis
 from slbench.report.plots.draw import draw_image
 from slbench.score.points import point_errors
@@ -34,7 +35,7 @@ def summary(scan: Scan) -> Figure:
         score = scan.score
         title += (
             f", {100 * score.completeness:.1f} % of lit pixels, median error "
-            f"{1e3 * score.median_abs_mm:.1f} µm, renderer's floor {scan.floor_rms_px:.3f} px"
+            f"{shown(1e3 * score.median_abs_mm)} µm, renderer's floor {scan.floor_rms_px:.3f} px"
         )
     figure.suptitle(title, parse_math=False)
     return figure
@@ -101,6 +102,7 @@ def _histogram(axes: Any, scan: Scan, error_um: NDArray[np.float64], limit: floa
     finite = error_um[np.isfinite(error_um)]
     axes.set_title("Height errors")
     axes.set_xlabel("µm")
+    axes.locator_params(axis="x", nbins=6)  # wide numbers run into each other
     axes.set_yticks([])
     if not finite.size:
         return
@@ -110,7 +112,7 @@ def _histogram(axes: Any, scan: Scan, error_um: NDArray[np.float64], limit: floa
         x = np.linspace(-limit, limit, 400)
         density = np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
         axes.plot(x, density, "C3")
-        axes.set_title(f"Height errors; red: detector noise alone, σ = {sigma:.1f} µm")
+        axes.set_title(f"Height errors; red: detector noise alone, σ = {shown(sigma)} µm")
     if scan.scores is None:
         return
     lines = [f"step {s.nominal_mm:g} mm:\n{s.measured_mm:.4f} mm" for s in scan.score.steps]
