@@ -40,6 +40,8 @@ _FACTS = {
     "python": "Python",
     "platform": "platform",
 }
+#: Keys of the provenance that are no facts themselves.
+_APART = {"libraries", "parameters", "extensions"}
 
 
 def write_page(page: Page, path: str | Path) -> None:
@@ -184,10 +186,14 @@ def script_json(values: Any) -> Markup:
 
 
 def _facts(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the short facts of a provenance: those known in their order, then others."""
-    others = set(provenance) - set(_FACTS) - {"libraries", "parameters"}
-    keys = [key for key in _FACTS if key in provenance] + sorted(others)
-    return [(_FACTS.get(key, key), _fact(provenance[key])) for key in keys]
+    """Return the short facts of a provenance: those known in their order, then others.
+
+    Packages and modules beside slbench are named where there are any.
+    """
+    beside = {key: value for key, value in provenance.get("extensions", {}).items() if value}
+    facts = {key: value for key, value in provenance.items() if key not in _APART} | beside
+    keys = [key for key in _FACTS if key in facts] + sorted(set(facts) - set(_FACTS))
+    return [(_FACTS.get(key, key), _fact(facts[key])) for key in keys]
 
 
 def _fact(value: Any) -> str:

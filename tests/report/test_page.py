@@ -164,6 +164,15 @@ def test_an_empty_page_and_an_empty_table():
     assert len(Document(render_page(empty)).all("td")) == 0
 
 
+def test_what_is_beside_slbench_is_named_where_there_is_any():
+    extensions = {"packages": {}, "modules": []}
+    bare = render_page(Page("t", (), {"slbench": "1", "extensions": extensions}))
+    assert "extensions" not in bare
+    assert "modules" not in bare
+    extensions = {"packages": {"slbench-outside": "0.1"}, "modules": []}
+    assert "slbench-outside" in render_page(Page("t", (), {"extensions": extensions}))
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_contrast(plain, scheme):
     blocks = re.findall(r":root \{(.*?)\}", plain.style, re.DOTALL)
