@@ -32,6 +32,10 @@ def test_list(run):
     assert status == 0
     for name in resources.names("objects"):
         assert name in out
+    # Equal pins are one line, different steps a line each.
+    assert "pin_*_*_height_mm" in out
+    assert "pin_1_1_height_mm" not in out
+    assert "step_2_height_mm = 2.5" in out
     status, out, _ = run("objects", "list", "--json")
     found = {item["name"]: item for item in json.loads(out)}
     assert found["step-block-5"]["certified"]["step_2_height_mm"] == 2.5

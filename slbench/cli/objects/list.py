@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
+from collections.abc import Mapping
 from typing import Annotated
 
 import typer
 
 from slbench.cli.common import Json, print_json, print_table
 from slbench.cli.lazy import command
+
+#: Equal dimensions from which on they share a line.
+_MANY = 4
 
 
 @command("slbench objects list", name="list")
@@ -53,6 +59,19 @@ def list_objects(
         table.add_column(column)
     for item in found:
         size = item.mesh.bounds[1] - item.mesh.bounds[0]
-        dimensions = "\n".join(f"{key} = {value:g}" for key, value in item.certified.items())
+        dimensions = "\n".join(_dimensions(item.certified))
         table.add_row(item.name, " x ".join(f"{x:.4g}" for x in size), dimensions)
     print_table(table)
+
+
+def _dimensions(certified: Mapping[str, float]) -> list[str]:
+    """Return a line a dimension; many equal ones whose names differ by numbers alone share one."""
+    rows = [(key, re.sub(r"\d+", "*", key), value) for key, value in certified.items()]
+    counts = Counter((name, value) for _, name, value in rows)
+    lines = [
+        f"{name} = {value:g}, {counts[name, value]} times"
+        if counts[name, value] >= _MANY
+        else f"{key} = {value:g}"
+        for key, name, value in rows
+    ]
+    return list(dict.fromkeys(lines))
