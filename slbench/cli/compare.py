@@ -32,7 +32,9 @@ def compare(
     scene: SceneName,
     sets: Annotated[
         list[str],
-        typer.Option("--set", help='A pattern set, "1,10,50", "1,8@4", "gray"; give each.'),
+        typer.Option(
+            "--set", metavar="<str>", help='A pattern set, "1,10,50", "1,8@4", "gray"; give each.'
+        ),
     ],
     repeats: Annotated[int, typer.Option(min=2, max=10_000, help="Scans of each set.")] = 15,
     equal: Annotated[

@@ -45,7 +45,9 @@ def patterns(
     noise_table: Annotated[Path | None, typer.Option(help="CSV: fringes,z_mm,sigma_rad.")] = None,
     capture: Annotated[
         list[Path] | None,
-        typer.Option(help="Folder of one of several captures of a plane; give each."),
+        typer.Option(
+            metavar="<path>", help="Folder of one of several captures of a plane; give each."
+        ),
     ] = None,
     axis: Annotated[
         Literal["u", "v"], typer.Option(help="capture: axis that the fringes code.")
@@ -92,7 +94,9 @@ def patterns(
     shifts: Annotated[int, typer.Option(min=3, help="Phase shifts that the noise is for.")] = 3,
     compare: Annotated[
         list[str] | None,
-        typer.Option(help="Another sequence to predict and scan, such as 1,2,4; give each."),
+        typer.Option(
+            metavar="<str>", help="Another sequence to predict and scan, such as 1,2,4; give each."
+        ),
     ] = None,
     repeats: Annotated[int, typer.Option(min=2, help="scene: captures for the noise.")] = 20,
     scans: Annotated[int, typer.Option(min=2, help="scene: scans a sequence to verify.")] = 15,

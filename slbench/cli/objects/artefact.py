@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 Name = Annotated[str, typer.Argument(help="A shipped artefact, or a TOML file.")]
 Changes = Annotated[
-    list[str] | None, typer.Option("--set", help="Change a parameter: teeth=24. Repeatable.")
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change a parameter: teeth=24. Repeatable."),
 ]
 
 
