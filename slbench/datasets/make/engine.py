@@ -194,7 +194,7 @@ def _check_same(storage: Storage, manifest: Manifest) -> None:
         raise InputError(where, f"{name} {old}, which the data set was begun with", new)
     for key, value in before.items():
         if now[key] != value:
-            expected = f"the {key} that the data set was begun with"
+            expected = f"{str(value)[:60]}, which the data set was begun with"
             raise InputError(f"{where}: {key}", expected, str(now[key])[:60])
 
 
