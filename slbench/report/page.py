@@ -190,7 +190,8 @@ def _facts(provenance: Mapping[str, Any]) -> list[tuple[str, str]]:
 
     Packages and modules beside slbench are named where there are any.
     """
-    beside = {key: value for key, value in provenance.get("extensions", {}).items() if value}
+    extensions: Mapping[str, Any] = provenance.get("extensions", {})
+    beside = {key: value for key, value in extensions.items() if value}
     facts = {key: value for key, value in provenance.items() if key not in _APART} | beside
     keys = [key for key in _FACTS if key in facts] + sorted(set(facts) - set(_FACTS))
     return [(_FACTS.get(key, key), _fact(facts[key])) for key in keys]
