@@ -64,25 +64,16 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.errors import InputError
 from slbench.core.show.display import brief
-from slbench.core.validation.checks import require_keys
+from slbench.core.validation.types import Axis
+from slbench.core.validation.values import Value, validated
 from slbench.patterns.noise import NoiseModel
 
 FloatArray = NDArray[np.float64]
-Axis = Literal["u", "v"]
 #: What a frame varies along; "uv" is a whole image.
 Variation = Literal["u", "v", "uv"]
 #: Panel width and height, px.
 Panel = tuple[int, int]
-
-AXES: tuple[Axis, Axis] = ("u", "v")
-
-
-def require_axis(where: str, value: object) -> None:
-    """Raise InputError unless `value` names a panel axis."""
-    if value not in AXES:
-        raise InputError(where, '"u" or "v"', repr(value))
 
 
 def extent(panel: Panel, axis: Axis) -> int:
@@ -90,12 +81,13 @@ def extent(panel: Panel, axis: Axis) -> int:
     return panel[0] if axis == "u" else panel[1]
 
 
-class Code(ABC):
+class Code(Value, ABC):
     """A part of a pattern sequence: an immutable value, usually a frozen dataclass.
 
     A family derives from this class, gives the abstract members and registers itself
-    (:data:`slbench.patterns.registry.CODES`).  An :class:`InputError` that it raises names a
-    field as ``"Fringes: count"``, or itself alone (``"Fringes"``) where no field is at fault.
+    (:data:`slbench.patterns.registry.CODES`).  The fields of a dataclass are checked by their
+    types; any other :class:`InputError` names a field as ``"Fringes: count"``, or the code alone
+    (``"Fringes"``) where no field is at fault.
     """
 
     kind: ClassVar[str]
@@ -168,11 +160,7 @@ class Code(ABC):
         InputError
             For a key that is missing or unknown, or a value that is not acceptable.
         """
-        fields = dataclasses.fields(cls)  # type: ignore[arg-type]
-        required = [f.name for f in fields if f.default is dataclasses.MISSING]
-        optional = [f.name for f in fields if f.default is not dataclasses.MISSING]
-        require_keys(f"{cls.__name__}: ", table, required, optional)
-        return cls(**table)
+        return validated(cls, table, cls.__name__, ": ")
 
     def to_table(self, folder: Path | None) -> dict[str, Any]:
         """Return what :meth:`from_table` reads, as plain values; by default all fields.

@@ -7,7 +7,7 @@ from typing import ClassVar, Self
 
 import numpy as np
 
-from slbench.core.errors import InputError
+from slbench.core.validation.types import Share
 from slbench.patterns.base import Axis, Code, FloatArray, Panel
 
 _WORDS = {"white": 1.0, "black": 0.0}
@@ -34,16 +34,7 @@ class Flat(Code):
     kind: ClassVar[str] = "flat"
     words: ClassVar[tuple[str, ...]] = tuple(_WORDS)
 
-    level: float
-
-    def __post_init__(self) -> None:
-        if isinstance(self.level, bool) or not isinstance(
-            self.level, (int, float, np.integer, np.floating)
-        ):
-            raise InputError("Flat: level", "a number in [0, 1]", repr(self.level))
-        if not 0.0 <= self.level <= 1.0:
-            raise InputError("Flat: level", "a number in [0, 1]", self.level)
-        object.__setattr__(self, "level", float(self.level))
+    level: Share
 
     @property
     def axes(self) -> tuple[Axis, ...]:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slbench.core.errors import InputError
-from slbench.core.validation.checks import require_whole
+from slbench.core.validation.types import Count, Shifts
 from slbench.patterns.base import (
     Axis,
     Code,
@@ -30,13 +30,10 @@ from slbench.patterns.base import (
     Panel,
     Run,
     extent,
-    require_axis,
 )
 from slbench.patterns.phase import relative_phase
 
 MIN_SHIFTS = 3
-#: More frames than memory holds are a slip, and refused before they are asked for.
-MAX_SHIFTS = 1000
 #: Three pixels a fringe are the least that carry amplitude, phase and mean.
 MIN_PIXELS_PER_FRINGE = 3
 
@@ -65,18 +62,9 @@ class Fringes(Code):
     kind: ClassVar[str] = "fringes"
     words: ClassVar[tuple[str, ...]] = ("counts such as 1,10,50@4",)
 
-    count: int
-    shifts: int = MIN_SHIFTS
+    count: Count
+    shifts: Shifts = MIN_SHIFTS
     axis: Axis = "u"
-
-    def __post_init__(self) -> None:
-        require_whole("Fringes: count", self.count, 1)
-        require_whole("Fringes: shifts", self.shifts, MIN_SHIFTS)
-        if self.shifts > MAX_SHIFTS:
-            raise InputError("Fringes: shifts", f"at most {MAX_SHIFTS}", self.shifts)
-        require_axis("Fringes: axis", self.axis)
-        object.__setattr__(self, "count", int(self.count))
-        object.__setattr__(self, "shifts", int(self.shifts))
 
     @property
     def axes(self) -> tuple[Axis, ...]:

@@ -20,7 +20,6 @@ from slbench.patterns.base import (
     Placed,
     Run,
     extent,
-    require_axis,
 )
 
 
@@ -49,11 +48,6 @@ class GrayCode(Code):
 
     axis: Axis = "u"
     inverse: bool = True
-
-    def __post_init__(self) -> None:
-        require_axis("GrayCode: axis", self.axis)
-        if not isinstance(self.inverse, bool):
-            raise InputError("GrayCode: inverse", "true or false", repr(self.inverse))
 
     @property
     def axes(self) -> tuple[Axis, ...]:

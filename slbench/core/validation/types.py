@@ -51,6 +51,7 @@ __all__ = [
     "TiltDegrees",
     "Vector",
     "Vibration",
+    "Whole",
     "Word",
     "Words",
 ]
@@ -107,6 +108,7 @@ TiltDegrees = Annotated[float, FINITE, Interval(gt=-60.0, lt=60.0)]
 #: Standard deviation of a picture's shift from frame to frame, px.
 Vibration = Annotated[float, FINITE, Interval(ge=0.0, le=10.0)]
 
+Whole = Annotated[int, Ge(0)]
 #: A number of things.
 Count = Annotated[int, Ge(1)]
 #: Pixels along a side.
@@ -116,10 +118,11 @@ MAX_SAMPLES = 65536
 Samples = Annotated[int, Interval(ge=1, le=MAX_SAMPLES)]
 #: Interreflections followed after the direct light.
 Bounces = Annotated[int, Interval(ge=0, le=16)]
-#: Phase shifts of a set of fringes.
+#: Phase shifts of a set of fringes.  More frames than memory holds are a slip, and refused before
+#: they are asked for.
 Shifts = Annotated[int, Interval(ge=3, le=1000)]
 #: Of a random stream.
-Seed = Annotated[int, Ge(0)]
+Seed = Whole
 #: Bits of a digital number that cameras have.
 BitDepth = Literal[8, 10, 12, 14, 16]
 Axis = Literal["u", "v"]

@@ -77,6 +77,9 @@ class Value:
         """Let a table of a file stand for the value: ``detector: Detector`` in a model."""
         from pydantic_core import core_schema
 
+        if not dataclasses.is_dataclass(cls):  # a base of many, which no table says apart
+            return core_schema.is_instance_schema(cls)
+
         def build(item: Any, fields: Callable[[Any], Any]) -> Any:
             return item if isinstance(item, cls) else cls(**fields(item))
 
@@ -222,6 +225,8 @@ def _hints_of(owner: Any) -> dict[str, Any]:
 
 @functools.cache
 def _fields(cls: Any) -> dict[str, Any]:
+    if not dataclasses.is_dataclass(cls):  # an abstract base
+        return {}
     hints = get_type_hints(cls, include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(cls) if field.init}
 

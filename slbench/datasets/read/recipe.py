@@ -15,7 +15,8 @@ import numpy as np
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.random import derived_seed, generator
-from slbench.core.validation.checks import require_whole
+from slbench.core.validation.types import Seed
+from slbench.core.validation.values import Value
 from slbench.datasets.read.stored import Sample
 from slbench.detector.base import DetectorModel
 from slbench.patterns import PatternSequence
@@ -26,7 +27,7 @@ Chooser = Callable[[Sample, np.random.Generator], Patterns]
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Recipe(Value):
     """Patterns, detector and noise.
 
     Parameters
@@ -43,12 +44,12 @@ class Recipe:
     patterns: Patterns | Chooser | None
     detector: DetectorModel | None = None
     noise: bool = True
-    seed: int = 0
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.patterns is None and self.detector is not None:
             raise InputError("detector", "patterns to expose with it", "stored frames")
-        require_whole("seed", self.seed, 0)
 
     def seed_of(self, sample: Sample, epoch: int = 0) -> int:
         """Return the seed of a sample's noise in an epoch."""

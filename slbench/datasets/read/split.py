@@ -10,14 +10,16 @@ from collections.abc import Mapping, Sequence
 
 from slbench.core.errors import InputError
 from slbench.core.random import generator
-from slbench.core.validation.checks import require_whole
+from slbench.core.validation.types import Fraction, Seed
+from slbench.core.validation.values import checked
 
 #: Fractions such as 0.7 + 0.2 + 0.1 may exceed 1 by rounding.
 _ROUNDING = 1e-9
 
 
+@checked
 def by_object(
-    objects: Sequence[str], fractions: Mapping[str, float], seed: int = 0
+    objects: Sequence[str], fractions: Mapping[str, Fraction], seed: Seed = 0
 ) -> dict[str, list[int]]:
     """Deal samples out to parts, all samples of an object to one part.
 
@@ -43,13 +45,8 @@ def by_object(
         If a fraction is not positive, they sum to more than 1, a part stays empty, or the
         seed is no whole number from 0.
     """
-    require_whole("split: seed", seed, 0)
     if not fractions:
         raise InputError("split", "parts such as train=0.8, test=0.2", "none")
-    for name, share in fractions.items():
-        number = isinstance(share, int | float) and not isinstance(share, bool)
-        if not number or not 0 < share <= 1:
-            raise InputError(f"split: {name}", "a fraction in (0, 1]", repr(share))
     total = sum(fractions.values())
     if total > 1 + _ROUNDING:
         raise InputError("split", "fractions that sum to 1 at most", f"{total:g}")

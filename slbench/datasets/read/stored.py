@@ -20,7 +20,8 @@ from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.io import read_json
 from slbench.core.show.display import brief
-from slbench.core.validation.checks import require_whole
+from slbench.core.validation.types import Seed
+from slbench.core.validation.values import checked
 from slbench.datasets.store import sample, shards
 from slbench.datasets.store.storage import Storage
 from slbench.detector.base import DetectorModel
@@ -157,11 +158,12 @@ class Sample:
         """Frames of the first stored capture, (N, V, U) uint8 or uint16."""
         return self.stored().frames
 
+    @checked
     def capture(
         self,
         sequence: PatternSequence | str,
         detector: DetectorModel | None = None,
-        seed: int = 0,
+        seed: Seed = 0,
         noise: bool = True,
         *,
         exposure: Exposure | None = None,
@@ -197,11 +199,7 @@ class Sample:
             For patterns that the panel or the stored marginals cannot show, a seed that is no
             whole number from 0, or a scene in which nothing is lit.
         """
-        require_whole("seed", seed, 0)
-        if not isinstance(sequence, str | PatternSequence):
-            expected = 'text such as "1,10,50@4", or a PatternSequence'
-            raise InputError("patterns", expected, repr(sequence)[:60])
-        if isinstance(sequence, str):
+        if not isinstance(sequence, PatternSequence):
             sequence = PatternSequence.parse(sequence, self.transport.panel)
         scene, rig = self._settings, self._settings.rig
         if gamma is not None:

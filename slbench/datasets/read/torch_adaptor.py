@@ -23,7 +23,8 @@ import numpy as np
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.random import generator
-from slbench.core.validation.checks import require_whole
+from slbench.core.validation.types import Whole
+from slbench.core.validation.values import checked
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Chooser, Patterns, Recipe
 from slbench.datasets.read.stored import Sample
@@ -72,6 +73,7 @@ def tensors(sample: Sample, shots: Capture) -> dict[str, Any]:
 class _Captures:
     """Samples of a data set under a recipe, in an epoch that all processes share."""
 
+    @checked
     def __init__(
         self,
         data: Dataset,
@@ -81,10 +83,8 @@ class _Captures:
         noise: bool = True,
         seed: int = 0,
         item: Item = tensors,
-        keep: int = 0,
+        keep: Whole = 0,
     ) -> None:
-        if keep < 0:
-            raise InputError("keep", "0 or more samples", keep)
         self.data = data
         self.recipe = Recipe(patterns, detector, noise, seed)
         self.item = item
@@ -93,10 +93,10 @@ class _Captures:
         # In shared memory: a copy sent to a worker sees what is set here afterwards.
         self._epoch = _torch().zeros(1, dtype=_torch().int64).share_memory_()
 
-    def set_epoch(self, epoch: int) -> None:
+    @checked
+    def set_epoch(self, epoch: Whole) -> None:
         """Choose the epoch, in all workers too; call it before iterating."""
-        require_whole("epoch", epoch, 0)
-        self._epoch[0] = int(epoch)
+        self._epoch[0] = epoch
 
     @property
     def epoch(self) -> int:

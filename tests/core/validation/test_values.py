@@ -15,10 +15,12 @@ from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
 from slbench.core.validation.types import Percentile, Samples
 from slbench.core.validation.values import checked
+from slbench.datasets.read.recipe import Recipe
 from slbench.design.rig.hardware import load_hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import load_artefact
-from slbench.patterns import NoiseModel, PatternSequence
+from slbench.patterns import Flat, Fringes, GrayCode, NoiseModel, PatternSequence
+from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 
@@ -37,6 +39,12 @@ VALUES = [
     DesignVariables(100.0, 50.0, 0.0, 5.0, 0.1, 0.0),
     Detector(),
     NoiseModel(),
+    Flat(1.0),
+    Fringes(1),
+    GrayCode(),
+    SEQUENCE,
+    SequenceTable((64, 48), ({"kind": "gray"},)),
+    Recipe("1"),
     Focus({"camera": (100.0,), "projector": (200.0,)}),
     CaptureTable(frames=("000.png",), patterns={}),
     Capture(np.zeros((3, 48, 64), np.uint8), SEQUENCE),
@@ -56,7 +64,7 @@ def test_every_class_of_values_has_an_example():
     found = {"Value"}
     while more := {name for name, parents in bases.items() if parents & found} - found:
         found |= more
-    assert found - {"Value"} == {type(value).__name__ for value in VALUES}
+    assert found - {"Value", "Code"} == {type(value).__name__ for value in VALUES}
 
 
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
