@@ -132,7 +132,7 @@ def _feature_rows(scores: ScanScores) -> list[tuple[str, str]]:
     rows = [
         (
             f"step {step.nominal_mm:g} mm",
-            f"{step.measured_mm:.4f} mm, error {um * (step.measured_mm - step.nominal_mm):+.2f} µm",
+            f"{step.measured_mm:.4f} mm, error {um * step.deviation_mm:+.2f} µm",
         )
         for step in score.steps
     ]

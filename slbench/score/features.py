@@ -55,6 +55,16 @@ class StepScore:
     uncertainty_mm: float
     points: int
 
+    @property
+    def deviation_mm(self) -> float:
+        """Measured minus nominal height."""
+        return self.measured_mm - self.nominal_mm
+
+    @property
+    def error_mm(self) -> float:
+        """Magnitude of the deviation."""
+        return abs(self.deviation_mm)
+
 
 @dataclass(frozen=True)
 class PlaneScore:
@@ -84,6 +94,16 @@ class SphereScore:
     std_mm: float
     points: int
 
+    @property
+    def radius_deviation_mm(self) -> float:
+        """Measured minus nominal radius."""
+        return self.radius_mm - self.nominal_radius_mm
+
+    @property
+    def radius_error_mm(self) -> float:
+        """Magnitude of the deviation."""
+        return abs(self.radius_deviation_mm)
+
 
 @dataclass(frozen=True)
 class SpacingScore:
@@ -94,6 +114,16 @@ class SpacingScore:
     nominal_mm: float
     measured_mm: float
     uncertainty_mm: float
+
+    @property
+    def deviation_mm(self) -> float:
+        """Measured minus nominal distance."""
+        return self.measured_mm - self.nominal_mm
+
+    @property
+    def error_mm(self) -> float:
+        """Magnitude of the deviation."""
+        return abs(self.deviation_mm)
 
 
 FeatureScore = StepScore | PlaneScore | SphereScore | SpacingScore

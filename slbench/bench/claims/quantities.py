@@ -17,9 +17,8 @@ from __future__ import annotations
 import difflib
 import itertools
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 
@@ -72,25 +71,18 @@ _SET_STEP_FIELDS = ("measured_mm", "deviation_mm", "std_mm")
 _SCALARS = tuple(f.name for f in fields(Score) if f.type in _NUMBERS)
 _BY_AXIS = ("smooth_bias_px", "smooth_rms_px")
 _SIZES = ("nominal_mm", "nominal_radius_mm")
-_KINDS: dict[str, type] = {
-    "step": StepScore,
-    "plane": PlaneScore,
-    "sphere": SphereScore,
-    "spacing": SpacingScore,
-}
-_DEVIATIONS = {
-    "step": ("error_mm", "deviation_mm"),
-    "plane": (),
-    "sphere": ("radius_error_mm", "radius_deviation_mm"),
-    "spacing": ("error_mm", "deviation_mm"),
-}
 #: Of each kind of feature: the numbers of its score, and how far it is from nominal.
 FEATURE_FIELDS: dict[str, tuple[str, ...]] = {
     kind: (
         *(f.name for f in fields(score) if f.type in _NUMBERS and f.name not in _SIZES),
-        *_DEVIATIONS[kind],
+        *deviations,
     )
-    for kind, score in _KINDS.items()
+    for kind, score, deviations in (
+        ("step", StepScore, ("error_mm", "deviation_mm")),
+        ("plane", PlaneScore, ()),
+        ("sphere", SphereScore, ("radius_error_mm", "radius_deviation_mm")),
+        ("spacing", SpacingScore, ("error_mm", "deviation_mm")),
+    )
 }
 #: Those of which the largest is the worst: what ``[*]`` may be asked for.
 _LARGEST = ("error_mm", "flatness_mm", "form_mm", "std_mm", "uncertainty_mm")
@@ -174,8 +166,7 @@ def set_value(result: SetResult, name: str) -> float:
     steps = [step for step in result.steps if abs(step.nominal_mm - height) < 1e-9]
     if len(steps) != 1:
         return float("nan")
-    values = steps[0]._asdict() | {"deviation_mm": steps[0].measured_mm - steps[0].nominal_mm}
-    return float(values[name.rpartition(".")[2]])
+    return float(getattr(steps[0], name.rpartition(".")[2]))
 
 
 def check_set(text: str, scene: Scene, where: str) -> None:
@@ -273,7 +264,7 @@ def resolve(text: str, scene: Scene, where: str) -> tuple[str, ...]:
     if text in known and "[" not in text:
         return (text,)
     match = _FEATURE.fullmatch(text)
-    if match is None or match[1] not in _KINDS:
+    if match is None or match[1] not in FEATURE_FIELDS:
         raise unknown(where, text, known)
     kind, selector, name = match.groups()
     chosen = [f for f in features_of(scene) if f.kind == kind and f.matches(selector.strip())]
@@ -316,38 +307,19 @@ def score_values(scan: Scan, further: Iterable[str] = ()) -> dict[str, float]:
         for part in _FUSED:
             sharpness = vars(getattr(scan.fusion, part))
             values |= {f"fusion.{part}.{name}": float(v) for name, v in sharpness.items()}
-    found: dict[str, Sequence[Any]] = {
-        "step": score.steps,
-        "plane": score.planes,
-        "sphere": score.spheres,
-        "spacing": score.spacings,
-    }
     features = features_of(scan.scene)
     for feature in features:
         same = [f for f in features if _plain(f) == _plain(feature)]
-        items = [i for i in found[feature.kind] if (i.object, i.name) == _plain(feature)[1:]]
-        numbers: Mapping[str, float] = {}
+        scored = getattr(score, f"{feature.kind}s")
+        items = [i for i in scored if (i.object, i.name) == _plain(feature)[1:]]
         # Of several objects of one name, a score does not say which one it missed.
-        if len(items) == len(same):
-            numbers = _feature_values(items[same.index(feature)])
+        item = items[same.index(feature)] if len(items) == len(same) else None
         for name in FEATURE_FIELDS[feature.kind]:
             key = f"{feature.kind}[{feature.label}].{name}"
-            values[key] = float(numbers.get(name, float("nan")))
+            values[key] = float(getattr(item, name, float("nan")))
     return values
 
 
 def _plain(feature: Feature) -> tuple[str, str, str]:
     """Kind, object's name without its number, and name."""
     return feature.kind, feature.owner.partition("#")[0], feature.name
-
-
-def _feature_values(item: Any) -> dict[str, float]:
-    """Return the numbers of a feature's score, and how far it is from nominal."""
-    values = {k: v for k, v in vars(item).items() if isinstance(v, int | float)}
-    if isinstance(item, SphereScore):
-        off = item.radius_mm - item.nominal_radius_mm
-        return values | {"radius_error_mm": abs(off), "radius_deviation_mm": off}
-    if isinstance(item, StepScore | SpacingScore):
-        off = item.measured_mm - item.nominal_mm
-        return values | {"error_mm": abs(off), "deviation_mm": off}
-    return values

@@ -32,6 +32,11 @@ class Step(NamedTuple):
     measured_mm: float
     std_mm: float
 
+    @property
+    def deviation_mm(self) -> float:
+        """Measured minus nominal height."""
+        return self.measured_mm - self.nominal_mm
+
 
 @dataclass(frozen=True, eq=False)
 class SetResult:

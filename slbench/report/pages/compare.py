@@ -131,7 +131,7 @@ def _steps(comparison: Comparison) -> Table:
             one.name,
             step.nominal_mm,
             step.measured_mm,
-            _UM * (step.measured_mm - step.nominal_mm),
+            _UM * step.deviation_mm,
             _UM * step.std_mm,
         )
         for one in comparison.sets

@@ -80,7 +80,7 @@ def feature_tables(score: Score) -> list[Table]:
                     s.name,
                     s.nominal_mm,
                     f"{s.measured_mm:.4f}",
-                    f"{_UM * (s.measured_mm - s.nominal_mm):+.2f}",
+                    f"{_UM * s.deviation_mm:+.2f}",
                     _UM * s.uncertainty_mm,
                     _UM * s.std_mm,
                     s.points,

@@ -265,7 +265,7 @@ def heights_rms_mm(result: SetResult) -> float:
     """Return the RMS error of a set's mean step heights, mm; NaN without steps."""
     if not result.steps:
         return float("nan")
-    errors = [step.measured_mm - step.nominal_mm for step in result.steps]
+    errors = [step.deviation_mm for step in result.steps]
     return math.sqrt(float(np.mean(np.square(errors))))
 
 

@@ -250,7 +250,7 @@ def _heights(
         steps = found[name].steps
         if len(steps) != len(thesis.BLOCK_20_MM):
             raise InputError("step block", f"{len(thesis.BLOCK_20_MM)} steps measured", len(steps))
-        errors[name] = np.array([s.measured_mm - s.nominal_mm for s in steps])
+        errors[name] = np.array([s.deviation_mm for s in steps])
         spread = np.array([s.std_mm for s in steps]) / np.sqrt(found.repeats)
         deviates = rng.standard_t(found.repeats - 1, (draws, len(steps)))
         drawn[name] = errors[name] + spread * deviates
