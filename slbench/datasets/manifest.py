@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
 
 from slbench.core.errors import InputError
 from slbench.core.io import plain
-from slbench.core.validation.values import validated
+from slbench.core.validation.types import Count, Seed
+from slbench.core.validation.values import Value, validated
 from slbench.core.validation.wording import shown
 from slbench.datasets.spec.specification import Patterns, Specification
 from slbench.datasets.store.index import FIXED
@@ -23,9 +24,12 @@ FILES = "files"
 #: Version of the layout.
 FORMAT = 1
 
+#: Arrow types that a column may have.
+Column = Literal["int64", "double", "string"]
+
 
 @dataclass(frozen=True)
-class Manifest:
+class Manifest(Value):
     """What a data set is.
 
     Parameters
@@ -55,12 +59,12 @@ class Manifest:
     name: str
     description: str
     licence: str
-    seed: int
-    count: int
+    seed: Seed
+    count: Count
     preview: bool
-    samples_per_shard: int
+    samples_per_shard: Count
     captures: dict[str, Any]
-    columns: dict[str, str]
+    columns: dict[str, Column]
     drawn: tuple[str, ...]
     environment: dict[str, Any]
     specification: dict[str, Any]
@@ -115,16 +119,9 @@ class Manifest:
         found = values.get("format") if isinstance(values, dict) else None
         if found != FORMAT:
             raise InputError(f"{where}: format", str(FORMAT), repr(found))
-        try:
-            manifest = cls(**values)
-        except TypeError as error:
-            raise InputError(where, "the keys of a data set", error) from None
-        for name, kind in _KINDS.items():
-            value = getattr(manifest, name)
-            if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-                raise InputError(f"{where}: {name}", kind.__name__, shown(value))
+        manifest = validated(cls, values, where, ": ")
         _check_parts(manifest, where)
-        return replace(manifest, drawn=tuple(manifest.drawn))
+        return manifest
 
 
 def described(specification: Specification) -> dict[str, Any]:
@@ -141,21 +138,15 @@ def described(specification: Specification) -> dict[str, Any]:
 
 
 def _check_parts(manifest: Manifest, where: str) -> None:
-    """Refuse numbers out of range, and tables that do not hold what they should."""
-    for name, least in (("seed", 0), ("count", 1), ("samples_per_shard", 1)):
-        if getattr(manifest, name) < least:
-            raise InputError(f"{where}: {name}", f"{least} or more", getattr(manifest, name))
+    """Refuse tables that do not hold what they should."""
     for prefix, patterns in manifest.captures.items():
         validated(Patterns, patterns, f"{where}: captures.{prefix}")
-    for name, kind in manifest.columns.items():
-        if kind not in _TYPES:
-            raise InputError(f"{where}: columns.{name}", f"one of {', '.join(_TYPES)}", shown(kind))
     for name, kind in FIXED.items():
         if manifest.columns.get(name) != kind:
             found = manifest.columns.get(name, "none")
             raise InputError(f"{where}: columns.{name}", kind, found)
     for name in manifest.drawn:
-        if not isinstance(name, str) or name not in manifest.columns:
+        if name not in manifest.columns:
             raise InputError(f"{where}: drawn", "names of columns", shown(name))
     for name, found in manifest.files.items():
         if not is_member(name) or not isinstance(found, str):
@@ -163,22 +154,3 @@ def _check_parts(manifest: Manifest, where: str) -> None:
     libraries = manifest.environment.get("libraries", {})
     if not isinstance(libraries, Mapping):
         raise InputError(f"{where}: environment.libraries", "a table of versions", shown(libraries))
-
-
-#: Arrow types that a column may have.
-_TYPES = ("int64", "double", "string")
-_KINDS: dict[str, type] = {
-    "name": str,
-    "description": str,
-    "licence": str,
-    "seed": int,
-    "count": int,
-    "preview": bool,
-    "samples_per_shard": int,
-    "captures": dict,
-    "columns": dict,
-    "drawn": list,
-    "environment": dict,
-    "specification": dict,
-    "files": dict,
-}

@@ -15,6 +15,7 @@ from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
 from slbench.core.validation.types import Percentile, Samples
 from slbench.core.validation.values import checked
+from slbench.datasets.manifest import Manifest
 from slbench.datasets.read.recipe import Recipe
 from slbench.design.rig.hardware import load_hardware
 from slbench.detector.emva1288 import Detector
@@ -29,6 +30,20 @@ CAMERA = Camera(64, 48, (0.01, 0.01), LENS)
 PROJECTOR = Projector(64, 48, (0.01, 0.01), LENS)
 SEQUENCE = PatternSequence.parse("1", (64, 48))
 OBJECT = SceneObject(load_artefact("plane"))
+MANIFEST = Manifest(
+    name="small",
+    description="",
+    licence="CC0-1.0",
+    seed=0,
+    count=1,
+    preview=False,
+    samples_per_shard=1,
+    captures={},
+    columns={},
+    drawn=(),
+    environment={},
+    specification={},
+)
 
 #: One of each class of values.
 VALUES = [
@@ -45,6 +60,7 @@ VALUES = [
     SEQUENCE,
     SequenceTable((64, 48), ({"kind": "gray"},)),
     Recipe("1"),
+    MANIFEST,
     Focus({"camera": (100.0,), "projector": (200.0,)}),
     CaptureTable(frames=("000.png",), patterns={}),
     Capture(np.zeros((3, 48, 64), np.uint8), SEQUENCE),
