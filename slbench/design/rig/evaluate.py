@@ -30,10 +30,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
-from slbench.design.rig._evaluate_maps import Maps
 from slbench.design.rig.constraints import CONSTRAINTS, placed_margins
 from slbench.design.rig.convex import coverage
 from slbench.design.rig.hardware import Hardware
+from slbench.design.rig.kernels.maps import Maps
 from slbench.rig import DesignVariables, Pose
 
 Array = NDArray[np.float64]

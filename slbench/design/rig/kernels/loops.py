@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from slbench.design.rig._evaluate_kernels import distorted_row, ideal_row
+from slbench.design.rig.kernels.rows import distorted_row, ideal_row
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

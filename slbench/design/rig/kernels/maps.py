@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.design.rig import _evaluate_loops as loops
 from slbench.design.rig.hardware import Hardware, Placement
+from slbench.design.rig.kernels import loops
 from slbench.rig import Device, Pose
 
 Array = NDArray[np.float64]
