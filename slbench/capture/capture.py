@@ -45,12 +45,12 @@ from slbench.core.show.drawing import figure
 from slbench.core.validation.types import BitDepth, Count, MinLen, NotNegative, Positive, Word
 from slbench.core.validation.values import Value, validated
 from slbench.patterns import (
-    CODES,
     MIN_MODULATION_DN,
     NoiseModel,
     PatternSequence,
     PhaseMap,
     decode,
+    pattern_codes,
 )
 from slbench.rig import ALONE, Pair, Rig
 from slbench.rig.opencv import read_rig, write_rig
@@ -191,7 +191,9 @@ class Capture(Value):
             "frames": names,
             "patterns": self.sequence.to_dict(root),
         }
-        modules = save_modules((CODES.origin(part.kind) for part in self.sequence.parts), root)
+        modules = save_modules(
+            (pattern_codes.origin(part.kind) for part in self.sequence.parts), root
+        )
         if modules:
             manifest["modules"] = modules
         if self.pair != ALONE:

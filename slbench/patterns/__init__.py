@@ -1,7 +1,7 @@
 """Patterns: what the projector shows, and how frames are decoded to panel coordinates.
 
 A *code* is a part of a sequence (:mod:`slbench.patterns.base` says what it is); the families
-that exist are in :data:`CODES`.
+that exist are in :data:`pattern_codes`.
 """
 
 from slbench.patterns.base import Axis, Code, Found, Observed, Panel, Placed, Run, Variation
@@ -17,11 +17,10 @@ from slbench.patterns.phase import (
     unwrap,
     unwrap_spatially,
 )
-from slbench.patterns.registry import CODES
+from slbench.patterns.registry import pattern_codes
 from slbench.patterns.sequence import Frame, PatternSequence
 
 __all__ = [
-    "CODES",
     "MIN_MODULATION_DN",
     "Axis",
     "Code",
@@ -41,6 +40,7 @@ __all__ = [
     "decode",
     "order_error_probability",
     "panel_response",
+    "pattern_codes",
     "relative_phase",
     "unwrap",
     "unwrap_spatially",

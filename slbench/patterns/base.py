@@ -3,7 +3,7 @@
 A :class:`Code` says which panel axes it codes, how many frames it has, what each of them shows,
 how it is written and read, and how its frames become a panel coordinate.  Sequence
 (:mod:`slbench.patterns.sequence`) and decoder (:mod:`slbench.patterns.decode`) know no code by
-name: they find families in the registry (:data:`slbench.patterns.registry.CODES`) and ask.
+name: they find families in the registry (:data:`slbench.patterns.registry.pattern_codes`) and ask.
 
 Three things are kept apart:
 
@@ -85,9 +85,9 @@ class Code(Value, ABC):
     """A part of a pattern sequence: an immutable value, usually a frozen dataclass.
 
     A family derives from this class, gives the abstract members and registers itself
-    (:data:`slbench.patterns.registry.CODES`).  The fields of a dataclass are checked by their
-    types; any other :class:`InputError` names a field as ``"Fringes: count"``, or the code alone
-    (``"Fringes"``) where no field is at fault.
+    (:data:`slbench.patterns.registry.pattern_codes`).  The fields of a dataclass are checked by
+    their types; any other :class:`InputError` names a field as ``"Fringes: count"``, or the code
+    alone (``"Fringes"``) where no field is at fault.
     """
 
     kind: ClassVar[str]

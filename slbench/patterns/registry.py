@@ -4,7 +4,7 @@ from slbench.core.registry import Registry
 from slbench.patterns.base import Code
 
 #: Asked in this order for the words of the short text; packages add theirs by entry points.
-CODES: Registry[type[Code]] = Registry(
+pattern_codes: Registry[type[Code]] = Registry(
     "pattern code",
     "slbench.codes",
     {

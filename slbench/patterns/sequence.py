@@ -36,7 +36,7 @@ from slbench.patterns.base import (
     extent,
     flat_frames,
 )
-from slbench.patterns.registry import CODES
+from slbench.patterns.registry import pattern_codes
 
 
 @dataclass(frozen=True)
@@ -357,7 +357,7 @@ def _located(where: str) -> Iterator[None]:
 
 
 def _part_from_dict(where: str, table: Mapping[str, Any], folder: Path | None) -> Code:
-    family = CODES.get(table.get("kind"), f"{where}.kind")
+    family = pattern_codes.get(table.get("kind"), f"{where}.kind")
     values = {key: value for key, value in table.items() if key != "kind"}
     with _located(where):
         return family.from_table(values, folder)
@@ -366,8 +366,8 @@ def _part_from_dict(where: str, table: Mapping[str, Any], folder: Path | None) -
 def _read_word(where: str, word: str, axis: Axis, shifts: int) -> list[Code]:
     """Return the codes of one word, from the first family that knows it."""
     words: list[str] = []
-    for name in CODES:
-        family = CODES.get(name)
+    for name in pattern_codes:
+        family = pattern_codes.get(name)
         try:
             codes = family.read_word(word, axis, shifts)
         except InputError as error:

@@ -68,10 +68,10 @@ from slbench.bench.claims.quantities import claim_quantities
 from slbench.datasets.export.registry import exporters
 from slbench.detector import detectors
 from slbench.objects import artefacts
-from slbench.patterns import CODES
+from slbench.patterns import pattern_codes
 from slbench.scene.bsdfs import bsdfs
 
-CODES.add("ramp", Ramp)
+pattern_codes.add("ramp", Ramp)
 artefacts.add("box", BOX)
 bsdfs.add("smooth_plastic", SmoothPlastic)
 detectors.add("ideal", Ideal)

@@ -13,7 +13,16 @@ from scenes_small import small, truth_of
 
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
-from slbench.patterns import CODES, Code, Flat, Found, Fringes, GrayCode, PatternSequence, decode
+from slbench.patterns import (
+    Code,
+    Flat,
+    Found,
+    Fringes,
+    GrayCode,
+    PatternSequence,
+    decode,
+    pattern_codes,
+)
 from slbench.simulate.scan import scan
 
 PANEL = (96, 60)
@@ -149,9 +158,9 @@ class Slopes(Code):
 def registered(monkeypatch):
     """Both codes in the registry, for one test."""
     for name in ("_found", "_added"):
-        monkeypatch.setattr(CODES, name, dict(getattr(CODES, name)))
-    CODES.add("ramp", Ramp)
-    CODES.add("slopes", Slopes)
+        monkeypatch.setattr(pattern_codes, name, dict(getattr(pattern_codes, name)))
+    pattern_codes.add("ramp", Ramp)
+    pattern_codes.add("slopes", Slopes)
 
 
 def test_a_table_names_it():
