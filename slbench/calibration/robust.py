@@ -44,16 +44,6 @@ CAUCHY_TUNING = 2.385
 _BLOCK = 2048
 
 
-def check_options(loss: str, max_iterations: int, tolerance: float) -> None:
-    """Refuse options of a fit that have no meaning."""
-    if loss not in ("cauchy", "least-squares"):
-        raise InputError("loss", "cauchy or least-squares", repr(loss))
-    if isinstance(max_iterations, bool) or not max_iterations >= 1:
-        raise InputError("max_iterations", "a whole number >= 1", max_iterations)
-    if not 0 < tolerance < 1:
-        raise InputError("tolerance", "a number between 0 and 1", tolerance)
-
-
 @contextmanager
 def breakdown_refused(n: int, coefficients: int) -> Iterator[None]:
     """Turn a singular weighted problem into bad input.

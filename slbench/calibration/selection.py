@@ -47,7 +47,6 @@ from slbench.calibration.models.polynomials import (
 from slbench.calibration.multivariate import JointFit, joint_irls
 from slbench.calibration.robust import (
     Loss,
-    check_options,
     checked_response,
     in_terms,
     irls,
@@ -56,6 +55,8 @@ from slbench.calibration.scales import gross_points, predictive_scale
 from slbench.core.errors import InputError
 from slbench.core.random import generator
 from slbench.core.show.display import brief
+from slbench.core.validation.types import Count, Proportion, Seed
+from slbench.core.validation.values import checked
 
 Array = NDArray[np.float64]
 
@@ -180,8 +181,9 @@ class _Candidate:
         )
 
 
+@checked
 def split(
-    n: int, validation: float = 0.2, seed: int = 0
+    n: int, validation: Proportion = 0.2, seed: Seed = 0
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Split rows at random into training and validation rows, each in ascending order.
 
@@ -190,8 +192,6 @@ def split(
     InputError
         If the share leaves either empty.
     """
-    if not 0 < validation < 1:
-        raise InputError("validation", "a share between 0 and 1", validation)
     count = round(validation * n)
     if not 0 < count < n:
         raise InputError("calibration points", "enough for training and validation", n)
@@ -243,17 +243,18 @@ def median_absolute(errors: ArrayLike) -> float:
     return float(np.median(np.abs(errors)))
 
 
+@checked
 def select_models(
     points: CalibrationPoints,
     *,
     axes: Axes = "u",
     forms: Sequence[str] = FORMS,
     multivariate: bool = False,
-    validation: float = 0.2,
-    seed: int = 0,
+    validation: Proportion = 0.2,
+    seed: Seed = 0,
     loss: Loss = "cauchy",
-    max_iterations: int = 100,
-    tolerance: float = 1e-6,
+    max_iterations: Count = 100,
+    tolerance: Proportion = 1e-6,
 ) -> Selection:
     """Fit all candidate forms to every coordinate and choose by cross-validation.
 
@@ -286,7 +287,6 @@ def select_models(
         points that outliers leave too few of, dependent terms (named), or a coordinate that
         does not change.
     """
-    check_options(loss, max_iterations, tolerance)
     options: dict[str, Any] = {
         "loss": loss,
         "max_iterations": max_iterations,

@@ -53,7 +53,7 @@ def test_split():
     np.testing.assert_array_equal(split(103, 0.2, seed=4)[1], held)
     assert not np.array_equal(split(103, 0.2, seed=5)[1], held)
     for share in (0.0, 1.0, -0.1, np.nan):
-        with pytest.raises(InputError, match="share"):
+        with pytest.raises(InputError, match=r"^validation: "):
             split(100, share)
     with pytest.raises(InputError, match="enough"):
         split(2, 0.2)
@@ -262,7 +262,9 @@ class TestRefusals:
             ({"forms": ("M1", "M1")}, "forms"),
             ({"forms": ("M1", "M7")}, "M7"),
             ({"loss": "huber"}, "loss"),
-            ({"validation": 2.0}, "share"),
+            ({"validation": 2.0}, "validation"),
+            ({"max_iterations": 0}, "max_iterations"),
+            ({"tolerance": 0.0}, "tolerance"),
         ],
     )
     def test_options(self, options, words):

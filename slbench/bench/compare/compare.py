@@ -43,6 +43,8 @@ from slbench.capture.stack import WeightSource
 from slbench.core.errors import InputError
 from slbench.core.random import tagged_seed
 from slbench.core.show.document import Cloud
+from slbench.core.validation import types
+from slbench.core.validation.values import checked
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.stack import traced
@@ -66,13 +68,14 @@ def own_shifts(scene: Scene) -> int:
     return int(scene.specification.get("patterns", {}).get("shifts", 3))
 
 
+@checked
 def compare(
     scene: Scene,
     sets: Sequence[str],
     *,
-    repeats: int = 15,
+    repeats: types.Repeats = 15,
     equal: Equal | None = None,
-    seed: int = 0,
+    seed: types.Seed = 0,
     shifts: int | None = None,
     transports: Sequence[LightTransport] | None = None,
     truth: GroundTruth | None = None,
@@ -120,12 +123,6 @@ def compare(
     """
     shifts = own_shifts(scene) if shifts is None else shifts
     chosen = pattern_sets(sets, scene, shifts=shifts, equal=equal)
-    if isinstance(repeats, bool) or not isinstance(repeats, int) or repeats < 2:
-        raise InputError("repeats", "a whole number, at least 2", repr(repeats))
-    if seed < 0:
-        raise InputError("seed", "a whole number >= 0", seed)
-    if weights not in ("lit", "modulation"):
-        raise InputError("weights", "lit or modulation", repr(weights))
     if weights != "lit" and scene.focus is None:
         raise InputError("weights", f"focus settings in scene {scene.name}, to weigh", "none")
     report = on_progress or (lambda stage, fraction: None)

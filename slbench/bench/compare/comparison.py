@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from slbench.core.errors import InputError
 from slbench.core.show.display import block, brief, length, share
 from slbench.core.show.document import Cloud, Table
 from slbench.core.show.drawing import figure
+from slbench.core.validation.values import checked
 from slbench.patterns import PatternSequence
 
 Array = NDArray[np.float64]
@@ -224,7 +225,8 @@ class Comparison:
                 return result
         raise InputError("set", f"one of {', '.join(s.name for s in self.sets)}", name)
 
-    def pair(self, a: str, b: str, by: str = "std") -> Pair:
+    @checked
+    def pair(self, a: str, b: str, by: Literal["std", "error"] = "std") -> Pair:
         """Return two sets beside one another, `a` over `b`, whichever is better.
 
         Parameters
@@ -239,8 +241,6 @@ class Comparison:
         InputError
             For sets that are not there, or one twice.
         """
-        if by not in ("std", "error"):
-            raise InputError("pair", "std or error", repr(by))
         first, second = self[a].name, self[b].name
         for pair in self.pairs if by == "std" else self.error_pairs:
             if (pair.a, pair.b) == (first, second):

@@ -15,10 +15,11 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal
 
 from slbench.core.errors import InputError, located
 from slbench.core.random import tagged_seed
+from slbench.core.validation.values import checked
 from slbench.patterns import Axis, PatternSequence
 from slbench.scene.model import Scene
 
@@ -76,6 +77,7 @@ class PatternSet:
         return 0.5 * self.sequence.size(axis) / counts[-1] if counts else 1.0
 
 
+@checked
 def pattern_sets(
     texts: Sequence[str], scene: Scene, *, shifts: int = 3, equal: Equal | None = None
 ) -> tuple[PatternSet, ...]:
@@ -102,8 +104,6 @@ def pattern_sets(
         For no sets, a set given twice, one that cannot be read, shown or decoded, or another
         `equal`.
     """
-    if equal is not None and equal not in get_args(Equal):
-        raise InputError("equal", "frames or photons", repr(equal))
     if isinstance(texts, str) or not texts:
         raise InputError("sets", "one or more pattern sets", repr(texts))
     sets: list[PatternSet] = []

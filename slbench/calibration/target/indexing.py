@@ -19,6 +19,7 @@ half a cell.  A rig's nominal pose and the stage's position give it:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -26,6 +27,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from slbench.core.errors import InputError
+from slbench.core.validation.types import Interval
+from slbench.core.validation.values import checked
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -77,13 +80,14 @@ class GridIndex:
         return _apply(_inverse(self.homography), points.reshape(-1, 2)).reshape(points.shape)
 
 
+@checked
 def index_grid(
     centres: ArrayLike,
     *,
     near: ArrayLike | None = None,
     anchor: tuple[int, int] = (0, 0),
     column_direction: ArrayLike = (1.0, 0.0),
-    tolerance: float = 0.2,
+    tolerance: Annotated[float, Interval(gt=0.0, lt=0.5)] = 0.2,
 ) -> GridIndex:
     """Find column and row of the dots of a grid.
 
@@ -121,8 +125,6 @@ def index_grid(
     direction = _pair("index_grid: column_direction", column_direction)
     if not np.any(direction):
         raise InputError("index_grid: column_direction", "a direction", direction.tolist())
-    if not 0.0 < tolerance < 0.5:
-        raise InputError("index_grid: tolerance", "a number in (0, 0.5)", tolerance)
     origin = None if near is None else _pair("index_grid: near", near)
 
     member, nodes = _grow(places)

@@ -11,7 +11,6 @@ from slbench.capture.fusion.folder import Photographs
 from slbench.capture.fusion.measures import focus_measure, focus_measures
 from slbench.capture.fusion.pyramid import PyramidSelection, pyramid_selection
 from slbench.capture.fusion.selective import (
-    VARIANTS,
     FusionWeights,
     maximum_weights,
     selective_weights,
@@ -19,7 +18,6 @@ from slbench.capture.fusion.selective import (
 from slbench.capture.fusion.stack import Stack
 
 __all__ = [
-    "VARIANTS",
     "Alignment",
     "FusionWeights",
     "Photographs",

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -23,10 +23,11 @@ from slbench.capture.fusion.measures import check_measure, measure_into
 from slbench.capture.fusion.stack import Stack, frames
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
+from slbench.core.validation.types import Finite, Interval
+from slbench.core.validation.values import checked
 
 FloatArray = NDArray[np.float64]
 Variant = Literal["corrected", "published"]
-VARIANTS: tuple[str, ...] = get_args(Variant)
 
 #: Fewest frames from which a selectivity says something: the Gaussian takes up three.
 LEAST_FRAMES = 5
@@ -112,14 +113,15 @@ class FusionWeights:
         return np.ascontiguousarray(np.moveaxis(sums, 0, 2)) if colour else sums[0]
 
 
+@checked
 def selective_weights(
     stack: Stack,
     *,
     positions: ArrayLike | None = None,
     measure: str = "variance",
     window: int = 9,
-    alpha: float = 0.2,
-    threshold_db: float = 13.0,
+    alpha: Annotated[float, Interval(ge=_LEAST_ALPHA, le=1.0)] = 0.2,
+    threshold_db: Finite = 13.0,
     variant: Variant = "corrected",
     on_progress: Callable[[str, float, str], None] | None = None,
 ) -> FusionWeights:
@@ -176,12 +178,6 @@ def selective_weights(
     InputError
         If a parameter or the stack is not as above, or a frame is not finite.
     """
-    if variant not in VARIANTS:
-        raise InputError("variant", f"one of {', '.join(VARIANTS)}", variant)
-    if not isinstance(alpha, (int, float)) or not _LEAST_ALPHA <= alpha <= 1.0:
-        raise InputError("alpha", f"a number from {_LEAST_ALPHA} to 1", alpha)
-    if not np.isfinite(threshold_db):
-        raise InputError("threshold_db", "a finite number", threshold_db)
     published = variant == "published"
     if published and len(stack) < LEAST_FRAMES:
         raise InputError("stack", "at least 5 frames for the published variant", len(stack))

@@ -43,6 +43,8 @@ __all__ = [
     "Percentile",
     "Pixels",
     "Positive",
+    "Proportion",
+    "Repeats",
     "Samples",
     "Seed",
     "Share",
@@ -90,6 +92,8 @@ Coordinate = Annotated[float, FINITE, Interval(ge=-1e6, le=1e6)]
 Share = Annotated[float, Interval(ge=0.0, le=1.0), FINITE]
 #: A part of a whole that is not nothing.
 Fraction = Annotated[float, Interval(gt=0.0, le=1.0), FINITE]
+#: A part of a whole that is neither nothing nor all of it.
+Proportion = Annotated[float, Interval(gt=0.0, lt=1.0), FINITE]
 #: A percentile, which is not the smallest value.
 Percentile = Annotated[float, Interval(gt=0.0, le=100.0), FINITE]
 Confidence = Annotated[float, Interval(ge=0.5, le=0.9999), FINITE]
@@ -111,6 +115,8 @@ Vibration = Annotated[float, FINITE, Interval(ge=0.0, le=10.0)]
 Whole = Annotated[int, Ge(0)]
 #: A number of things.
 Count = Annotated[int, Ge(1)]
+#: Of a measurement: at least two, to see noise.
+Repeats = Annotated[int, Ge(2)]
 #: Pixels along a side.
 Pixels = Annotated[int, Ge(1)]
 #: Monte Carlo samples a pixel.

@@ -17,12 +17,14 @@ that are left can make the last set better than the best one found, the search e
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from slbench.core.errors import InputError
+from slbench.core.validation.types import FINITE, Ge, Interval, Proportion
+from slbench.core.validation.values import checked
 from slbench.design.fringes.design import SequenceDesign, candidates, predict, usable
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.patterns import order_error_probability
@@ -34,14 +36,15 @@ Indices = NDArray[np.int64]
 MAX_FRAMES = 100
 
 
+@checked
 def bounded_sequence(
     width_px: int,
     noise: PhaseNoise,
     counts: Sequence[int] | None = None,
     *,
-    max_probability: float = 1e-6,
-    safety: float = 1.0,
-    frames: int | None = None,
+    max_probability: Proportion = 1e-6,
+    safety: Annotated[float, FINITE, Ge(1.0)] = 1.0,
+    frames: Annotated[int, Interval(ge=MIN_SHIFTS, le=MAX_FRAMES)] | None = None,
     on_progress: Callable[[str, float], None] | None = None,
 ) -> SequenceDesign:
     """Design the sequence of least final noise under a bound on fringe-order errors.
@@ -75,12 +78,6 @@ def bounded_sequence(
     InputError
         For values outside their range, or noise that leaves no candidates.
     """
-    if not 0.0 < max_probability < 1.0:
-        raise InputError("order error probability", "between 0 and 1", max_probability)
-    if not 1.0 <= safety < np.inf:
-        raise InputError("safety", "a factor of at least 1", safety)
-    if frames is not None and not (type(frames) is int and MIN_SHIFTS <= frames <= MAX_FRAMES):
-        raise InputError("frames", f"a whole number, {MIN_SHIFTS} to {MAX_FRAMES}", frames)
     options = usable(candidates(width_px) if counts is None else counts, noise)
     if frames is None:
         shifts, most = [noise.shifts], noise.shifts * len(options)

@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from math import floor, pi
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +31,11 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.core.show.document import Cell, Table
+from slbench.core.validation.types import FINITE, Count, Ge, Gt
+from slbench.core.validation.values import checked
 from slbench.design.fringes.chain import any_error, unwrapping_chain
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.unwrapping import (
-    PHASE_MODELS,
     PhaseModel,
     absolute_sigma,
     sampled_sigma,
@@ -45,7 +46,6 @@ from slbench.patterns.fringes import MIN_PIXELS_PER_FRINGE, MIN_SHIFTS
 Array = NDArray[np.float64]
 Method = Literal["exact", "monte-carlo"]
 
-METHODS: tuple[Method, ...] = ("exact", "monte-carlo")
 #: Thesis eq. 32.
 STOP_BELOW = 0.01
 #: Noise levels of an axis of the grid where the step is not given: those of thesis 7.1.3.
@@ -161,8 +161,12 @@ class SequenceDesign:
         }
 
 
+@checked
 def candidates(
-    width_px: int, *, max_fringes: int | None = None, min_px_per_fringe: float = 5.0
+    width_px: Annotated[int, Ge(MIN_PIXELS_PER_FRINGE)],
+    *,
+    max_fringes: Count | None = None,
+    min_px_per_fringe: Annotated[float, FINITE, Ge(MIN_PIXELS_PER_FRINGE)] = 5.0,
 ) -> list[int]:
     """Return the fringe counts that divide the width and are not too fine (thesis 4.2.1).
 
@@ -171,18 +175,11 @@ def candidates(
     InputError
         For a width that cannot be coded, or limits that leave nothing.
     """
-    if type(width_px) is not int or width_px < MIN_PIXELS_PER_FRINGE:
-        raise InputError("width", f"whole pixels, at least {MIN_PIXELS_PER_FRINGE}", width_px)
-    if not MIN_PIXELS_PER_FRINGE <= min_px_per_fringe < np.inf:
-        expected = f"at least {MIN_PIXELS_PER_FRINGE} px (three carry amplitude, phase and mean)"
-        raise InputError("pixels per fringe", expected, min_px_per_fringe)
-    if max_fringes is not None and max_fringes < 1:
-        raise InputError("max fringes", "at least 1", max_fringes)
     most = min(width_px / min_px_per_fringe, max_fringes or width_px)
     found = [n for n in range(1, floor(most) + 1) if width_px % n == 0]
     if not found:
         expected = f"at most the width, {width_px} px"
-        raise InputError("pixels per fringe", expected, min_px_per_fringe)
+        raise InputError("min_px_per_fringe", expected, min_px_per_fringe)
     return found
 
 
@@ -214,12 +211,13 @@ def left_out(noise: PhaseNoise, counts: Sequence[int], width_px: int) -> dict[in
     return found
 
 
+@checked
 def thesis_sequence(
     width_px: int,
     noise: PhaseNoise,
     counts: Sequence[int] | None = None,
     *,
-    safety: float = 2.0,
+    safety: Annotated[float, FINITE, Gt(1.0)] = 2.0,
     noise_step: float | None = None,
     phase_model: PhaseModel = "exact",
     method: Method = "exact",
@@ -256,10 +254,6 @@ def thesis_sequence(
     InputError
         For values outside their range, or noise that leaves no candidates.
     """
-    if phase_model not in PHASE_MODELS:
-        raise InputError("phase model", f"one of {', '.join(PHASE_MODELS)}", repr(phase_model))
-    if method not in METHODS:
-        raise InputError("method", f"one of {', '.join(METHODS)}", repr(method))
     options = usable(candidates(width_px) if counts is None else counts, noise)
     levels = noise_levels(noise.typical_rad, safety, noise_step)
     scale = {n: noise.of(n)[:, np.newaxis, np.newaxis] / noise.typical_rad for n in options}
@@ -303,11 +297,8 @@ def noise_levels(sigma_rad: float, safety: float, noise_step: float | None) -> A
     Raises
     ------
     InputError
-        For a safety factor that is not above one, or a step that makes fewer than two levels
-        or too many.
+        For a step that makes fewer than two levels or too many.
     """
-    if not 1.0 < safety < np.inf:
-        raise InputError("safety", "a factor above 1", safety)
     extent = safety * sigma_rad
     step = extent / LEVELS if noise_step is None else noise_step
     # The sum of roundings must not cost the last level.

@@ -28,6 +28,7 @@ from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.io import read_table, write_table
 from slbench.core.show.display import brief
+from slbench.core.validation.values import checked
 from slbench.patterns import Axis, Placed
 
 Array = NDArray[np.float64]
@@ -171,6 +172,7 @@ class NoiseEstimate:
     pixels: int
 
 
+@checked
 def estimate_noise(phases: ArrayLike, estimator: Estimator = "per-pixel") -> NoiseEstimate:
     """Estimate the noise of repeated relative phases (thesis eq. 25).
 
@@ -197,8 +199,6 @@ def estimate_noise(phases: ArrayLike, estimator: Estimator = "per-pixel") -> Noi
     stack = np.asarray(phases, dtype=np.float64)
     if stack.ndim < 2 or len(stack) < 2:
         raise InputError("estimate_noise: phases", "shape (R >= 2, ...)", stack.shape)
-    if estimator not in ("per-pixel", "pooled"):
-        raise InputError("estimate_noise: estimator", "per-pixel or pooled", repr(estimator))
     repeats = len(stack)
     stack = stack.reshape(repeats, -1)
     stack = stack[:, np.isfinite(stack).all(axis=0)]

@@ -31,6 +31,8 @@ from numpy.typing import NDArray
 from slbench.capture.stack import FusedCapture, WeightSource
 from slbench.core.errors import InputError
 from slbench.core.random import generator, tagged_seed
+from slbench.core.validation.types import Repeats
+from slbench.core.validation.values import checked
 from slbench.design.fringes.chain import any_error, unwrapping_chain
 from slbench.design.fringes.design import SequenceDesign
 from slbench.design.fringes.noise import PhaseNoise, estimate_noise
@@ -120,12 +122,13 @@ class Trial:
         return "\n".join(lines)
 
 
+@checked
 def noise_of_scene(
     scene: Scene,
     fringes: Sequence[int],
     *,
     z_mm: Sequence[float] | None = None,
-    repeats: int = 20,
+    repeats: Repeats = 20,
     shifts: int = 3,
     seed: int = 0,
     weights: WeightSource = "lit",
@@ -159,8 +162,6 @@ def noise_of_scene(
     """
     from slbench.simulate.render.groundtruth import ground_truth
 
-    if repeats < 2:
-        raise InputError("repeats", "at least 2, to see noise", repeats)
     heights = np.array(
         [share * scene.rig.volume_mm[2] / 2 for share in HEIGHTS] if z_mm is None else z_mm, float
     )
@@ -200,11 +201,12 @@ def noise_of_scene(
     return PhaseNoise(np.array(fringes, np.int64), sigma, heights, shifts)
 
 
+@checked
 def scan_repeatedly(
     scene: Scene,
     designs: Sequence[SequenceDesign],
     *,
-    repeats: int = 15,
+    repeats: Repeats = 15,
     seed: int = 0,
     weights: WeightSource = "lit",
     on_progress: Progress | None = None,
@@ -236,8 +238,6 @@ def scan_repeatedly(
     """
     from slbench.simulate.render.groundtruth import ground_truth
 
-    if repeats < 2:
-        raise InputError("repeats", "at least 2, to see noise", repeats)
     transports = traced(scene, ("u",), seed=tagged_seed(seed, _LIGHT, 0))
     truth = ground_truth(scene.objects, scene.rig)
     alike = [i for i, o in enumerate(scene.objects) if o.material == scene.objects[0].material]

@@ -40,11 +40,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.random import generator
+from slbench.core.validation.types import Count
+from slbench.core.validation.values import checked
 
 Array = NDArray[np.float64]
 PhaseModel = Literal["exact", "thesis"]
 
-PHASE_MODELS: tuple[PhaseModel, ...] = ("exact", "thesis")
 #: Above this s the Fourier series is summed, below it the orders next to zero.
 _FOURIER_FROM = 0.25
 #: Terms below this, and Gaussian tails beyond that many deviations, are below rounding.
@@ -52,6 +53,7 @@ _ROUNDING = 1e-17
 _NEGLIGIBLE = 8.8
 
 
+@checked
 def ideal_phases(fringes: int, width_px: int, model: PhaseModel) -> tuple[Array, Array]:
     """Return the noise-free phases of all panel pixels.
 
@@ -73,7 +75,6 @@ def ideal_phases(fringes: int, width_px: int, model: PhaseModel) -> tuple[Array,
     InputError
         If the width is no multiple of the fringes, or the model is unknown.
     """
-    _check_model(model)
     if fringes < 1 or width_px < 2 or width_px % fringes:
         raise InputError("fringes", f"a divisor of the width, {width_px} px", fringes)
     period = width_px // fringes
@@ -87,8 +88,9 @@ def ideal_phases(fringes: int, width_px: int, model: PhaseModel) -> tuple[Array,
     return relative, 2.0 * pi * (pixel - 1) / (width_px - 1)
 
 
+@checked
 def absolute_sigma(
-    fringes: int,
+    fringes: Count,
     sigma_reference: ArrayLike,
     sigma_phase: ArrayLike,
     *,
@@ -119,9 +121,6 @@ def absolute_sigma(
     InputError
         For deviations that are negative or not finite, or fringes that do not fit.
     """
-    _check_model(model)
-    if not 1 <= fringes < np.inf:
-        raise InputError("fringes", "at least 1", fringes)
     offsets = np.zeros(1)
     if model != "exact":
         if width_px is None:
@@ -150,6 +149,7 @@ def absolute_sigma(
     return out
 
 
+@checked
 def sampled_sigma(
     fringes: int,
     sigma_reference: ArrayLike,
@@ -157,7 +157,7 @@ def sampled_sigma(
     *,
     width_px: int,
     model: PhaseModel = "exact",
-    repeats: int = 20,
+    repeats: Count = 20,
     seed: int = 0,
 ) -> Array:
     """Return the standard deviation of the absolute phase after one step, by Monte Carlo.
@@ -180,8 +180,6 @@ def sampled_sigma(
     ndarray
         As of :func:`absolute_sigma`.
     """
-    if repeats < 1:
-        raise InputError("repeats", "a whole number >= 1", repeats)
     relative, reference = ideal_phases(fringes, width_px, model)
     reference_sigma, phase_sigma = _checked(sigma_reference, sigma_phase)
     rng = generator(seed)
@@ -197,11 +195,6 @@ def sampled_sigma(
         out.reshape(-1),
     )
     return out
-
-
-def _check_model(model: PhaseModel) -> None:
-    if model not in PHASE_MODELS:
-        raise InputError("phase model", f"one of {', '.join(PHASE_MODELS)}", repr(model))
 
 
 def _rest(terms: Array) -> Array:

@@ -16,6 +16,8 @@ from sklearn.metrics import davies_bouldin_score
 from threadpoolctl import threadpool_limits
 
 from slbench.core.errors import InputError
+from slbench.core.validation.types import Count, Seed
+from slbench.core.validation.values import checked
 from slbench.design.search.front import Front
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +86,8 @@ def cluster_front(front: Front, seed: int = 0, max_clusters: int = 20) -> Cluste
     return cluster(front.unit, seed, max_clusters)
 
 
-def cluster(unit: ArrayLike, seed: int = 0, max_clusters: int = 20) -> Clusters:
+@checked
+def cluster(unit: ArrayLike, seed: Seed = 0, max_clusters: Count = 20) -> Clusters:
     """Cluster points, with as many clusters as the measures call for.
 
     When the measures do not settle within `max_clusters` (or one less than the number of
@@ -115,10 +118,6 @@ def cluster(unit: ArrayLike, seed: int = 0, max_clusters: int = 20) -> Clusters:
         raise InputError("unit", "an (n, d) array, n >= 1", f"shape {points.shape}")
     if not np.isfinite(points).all():
         raise InputError("unit", "finite coordinates", "NaN or infinity")
-    for name, value, least in (("seed", seed, 0), ("max_clusters", max_clusters, 1)):
-        whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-        if not whole or value < least:
-            raise InputError(name, f"a whole number >= {least}", repr(value))
     distinct, labels = np.unique(points, axis=0, return_inverse=True)
     labels = labels.reshape(-1)
     if len(distinct) <= min(2, max_clusters):

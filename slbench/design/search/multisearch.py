@@ -29,8 +29,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.validation.types import Count, Seed
+from slbench.core.validation.values import checked
 from slbench.design.search.front import Front
-from slbench.design.search.solver import DirectMultiSearch, check_count
+from slbench.design.search.solver import DirectMultiSearch, Tolerance
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -40,18 +42,19 @@ Constraints = Callable[[FloatArray], ArrayLike]
 __all__ = ["DirectMultiSearch", "Front", "minimize"]
 
 
+@checked
 def minimize(
     objectives: Objectives,
     lower: ArrayLike,
     upper: ArrayLike,
     constraints: Constraints | None = None,
-    max_evaluations: int = 20_000,
-    tolerance: float = 1e-3,
-    seed: int = 0,
+    max_evaluations: Count = 20_000,
+    tolerance: Tolerance = 1e-3,
+    seed: Seed = 0,
     on_progress: Callable[[Front], object] | None = None,
     *,
     start: Front | ArrayLike | None = None,
-    centres: int = 1,
+    centres: Count = 1,
     search: bool = False,
 ) -> Front:
     """Minimise several objectives over a box, subject to constraints.
@@ -104,7 +107,6 @@ def minimize(
         If an argument is not as above, a function returns another shape, or none of 16384
         points of the box is feasible.
     """
-    check_count("max_evaluations", max_evaluations, 1)
     solver = DirectMultiSearch(
         lower,
         upper,

@@ -5,6 +5,7 @@ loop around this class.
 """
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,8 @@ from scipy.stats import qmc
 
 from slbench.core.errors import InputError
 from slbench.core.random import generator
+from slbench.core.validation.types import Count, Interval, Seed
+from slbench.core.validation.values import checked
 from slbench.design.search.front import Front, History
 from slbench.design.search.pointlist import (
     PointList,
@@ -25,6 +28,8 @@ from slbench.design.search.pointlist import (
 from slbench.design.search.positions import Box, Rows, line_sample, row_keys, snapped
 
 FloatArray = NDArray[np.float64]
+#: Smallest step of a search, as a fraction of its box.
+Tolerance = Annotated[float, Interval(ge=1e-9, le=1.0)]
 
 # Where the diagonal is infeasible: points a batch, and how many are tried before giving up.
 _START_BATCH = 64
@@ -87,24 +92,20 @@ class DirectMultiSearch:
         For arguments that are not as above.
     """
 
+    @checked
     def __init__(
         self,
         lower: ArrayLike,
         upper: ArrayLike,
         *,
-        tolerance: float = 1e-3,
-        seed: int = 0,
+        tolerance: Tolerance = 1e-3,
+        seed: Seed = 0,
         start: Front | ArrayLike | None = None,
-        centres: int = 1,
+        centres: Count = 1,
         search: bool = False,
     ) -> None:
         self._box = Box.parse(lower, upper)
-        number = isinstance(tolerance, (int, float, np.integer, np.floating))
-        if not number or isinstance(tolerance, bool) or not 1e-9 <= tolerance <= 1.0:
-            raise InputError("tolerance", "a number in [1e-9, 1]", repr(tolerance))
-        check_count("seed", seed, 0)
-        check_count("centres", centres, 1)
-        self._tolerance, self._seed = float(tolerance), seed
+        self._tolerance, self._seed = tolerance, seed
         self._centres, self._search = centres, search
         d = self._d = len(self._box.lower)
         self._directions = np.repeat(np.eye(d), 2, axis=0) * np.tile([1.0, -1.0], d)[:, np.newaxis]
@@ -293,10 +294,3 @@ class DirectMultiSearch:
 def _unpolled(unit: FloatArray) -> _Batch:
     """Return a batch of starting points: no centre, steps 1."""
     return _Batch(unit, np.ones(len(unit)), ((None, slice(0, len(unit))),))
-
-
-def check_count(where: str, value: object, least: int) -> None:
-    """Check that an argument is a whole number, not too small."""
-    whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-    if not whole or value < least:  # type: ignore[operator]
-        raise InputError(where, f"a whole number >= {least}", repr(value))

@@ -12,13 +12,13 @@ Ra is the arithmetic mean deviation (ISO 4287; for an area Sa of ISO 25178-2); f
 heights it is ``sqrt(2 / pi)`` times their standard deviation.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.random import generator
+from slbench.core.validation.types import NotNegative, Positive, Seed
+from slbench.core.validation.values import checked
 
 #: Nodes of the noise lattice along either axis; the field repeats beyond.
 _NODES = 1024
@@ -30,8 +30,13 @@ _REACH = 5
 _CHUNK = 1 << 14
 
 
+@checked
 def rough_height(
-    x_mm: ArrayLike, y_mm: ArrayLike, ra_um: float, correlation_length_um: float, seed: int
+    x_mm: ArrayLike,
+    y_mm: ArrayLike,
+    ra_um: NotNegative,
+    correlation_length_um: Positive,
+    seed: Seed,
 ) -> NDArray[np.float64]:
     """Height of a rough surface of zero mean at given places.
 
@@ -69,12 +74,6 @@ def rough_height(
         raise InputError("roughness: x_mm and y_mm", "equal shapes", f"{x.shape} and {y.shape}")
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("roughness: x_mm and y_mm", "finite places", "some that are not")
-    if not (math.isfinite(ra_um) and ra_um >= 0.0):
-        raise InputError("roughness: ra_um", "a finite number from 0", ra_um)
-    if not (math.isfinite(correlation_length_um) and correlation_length_um > 0.0):
-        raise InputError("roughness: correlation_length_um", "above 0", correlation_length_um)
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError("roughness: seed", "an integer from 0", repr(seed))
     if ra_um == 0.0:
         return np.zeros(x.shape)
 

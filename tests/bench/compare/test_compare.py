@@ -422,12 +422,12 @@ class TestBadInput:
             (["10,50"], {}, "set 10,50: decode: .* one fringe or a Gray code first"),
             (["white"], {}, "set white: decode: sequence: expected fringes or a Gray code"),
             (["1,10"], {"equal": "light"}, "frames or photons, got 'light'"),
-            (["1,10"], {"repeats": 1}, "repeats: expected a whole number, at least 2, got 1"),
-            (["1,10"], {"repeats": 2.5}, "at least 2, got 2.5"),
+            (["1,10"], {"repeats": 1}, "repeats: expected a whole number >= 2, got 1"),
+            (["1,10"], {"repeats": 2.5}, ">= 2, got 2.5"),
             (["1,10"], {"seed": -1}, "seed"),
             (["1,10"], {"weights": "none"}, "lit or modulation"),
             (["1,10"], {"weights": "modulation"}, "focus settings in scene step-block.*, got none"),
-            (["1,10@1000", "1,10,50@1000"], {"equal": "frames"}, "at most 1000"),
+            (["1,10@1000", "1,10,50@1000"], {"equal": "frames"}, "from 3 to 1000"),
         ],
     )
     def test_is_refused_before_any_light_is_traced(self, sets, options, words, monkeypatch):
