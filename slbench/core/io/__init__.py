@@ -6,35 +6,8 @@ of the wrong kind raises :class:`~slbench.core.errors.InputError` in one line.  
 arrays and dictionaries only; what they mean is the caller's business.
 """
 
-from slbench.core.io.arrays import read_npz, read_ply, write_npz, write_ply
-from slbench.core.io.atomic import atomic_folder, atomic_path
-from slbench.core.io.images import read_colour, read_exr, read_grey, write_exr, write_png
-from slbench.core.io.opencv_yaml import read_opencv_yaml, write_opencv_yaml
-from slbench.core.io.provenance import provenance, write_provenance
-from slbench.core.io.tables import read_table, write_table
-from slbench.core.io.text import plain, read_json, read_toml, write_json, write_toml
+import lazy_loader
 
-__all__ = [
-    "atomic_folder",
-    "atomic_path",
-    "plain",
-    "provenance",
-    "read_colour",
-    "read_exr",
-    "read_grey",
-    "read_json",
-    "read_npz",
-    "read_opencv_yaml",
-    "read_ply",
-    "read_table",
-    "read_toml",
-    "write_exr",
-    "write_json",
-    "write_npz",
-    "write_opencv_yaml",
-    "write_ply",
-    "write_png",
-    "write_provenance",
-    "write_table",
-    "write_toml",
-]
+from slbench.core.io.provenance import provenance as provenance  # not the module of that name
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
