@@ -21,10 +21,9 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from slbench.core.errors import InputError
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import REFERENCE, Artefact, Mesh
 from slbench.objects.gears.gear import (
     FormError,
@@ -40,7 +39,7 @@ from slbench.objects.gears.involute import Toothing, circle
 from slbench.objects.mesh.shell import Loop, Shell
 from slbench.objects.registry import ArtefactKind
 
-ConeAngle = Annotated[float, Field(strict=True, ge=0.0, le=75.0)]
+ConeAngle = Annotated[float, Interval(ge=0.0, le=75.0)]
 
 
 class CurvedGearParameters(ToothedParameters):

@@ -14,11 +14,10 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length, NotNegative, Share
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
 from slbench.objects.gears.gearmeasure import (
     layer_below,
@@ -32,7 +31,7 @@ from slbench.objects.mesh.shell import Loop, Shell
 from slbench.objects.registry import ArtefactKind
 
 #: Largest distance of a mesh from the true surface, um.
-FormError = Annotated[float, Field(strict=True, ge=1e-3, le=1e3, allow_inf_nan=False)]
+FormError = Annotated[float, Interval(ge=1e-3, le=1e3)]
 
 
 class ToothedParameters(Parameters):
@@ -63,14 +62,14 @@ class ToothedParameters(Parameters):
     """
 
     module_mm: Length
-    teeth: Annotated[int, Field(strict=True, ge=5, le=500)]
-    pressure_angle_deg: Annotated[float, Field(strict=True, ge=10.0, le=35.0)] = 20.0
-    profile_shift: Annotated[float, Field(strict=True, ge=-0.8, le=0.8)] = 0.0
-    backlash_mm: Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)] = 0.0
-    root_fillet: Annotated[float, Field(strict=True, ge=0.0, le=1.0)] = 0.38
+    teeth: Annotated[int, Interval(ge=5, le=500)]
+    pressure_angle_deg: Annotated[float, Interval(ge=10.0, le=35.0)] = 20.0
+    profile_shift: Annotated[float, Interval(ge=-0.8, le=0.8)] = 0.0
+    backlash_mm: NotNegative = 0.0
+    root_fillet: Share = 0.38
     bore_diameter_mm: Length
     hub_diameter_mm: Length | None = None
-    hub_height_mm: Annotated[float, Field(strict=True, ge=0.0, le=1e4)] = 0.0
+    hub_height_mm: Annotated[float, Interval(ge=0.0, le=1e4)] = 0.0
     max_form_error_um: FormError = 0.5
 
 

@@ -20,9 +20,8 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import Artefact
 from slbench.objects.gears.gear import (
     FormError,
@@ -55,7 +54,7 @@ class HelicalGearParameters(ToothedParameters):
     """
 
     face_width_mm: Length
-    helix_angle_deg: Annotated[float, Field(strict=True, ge=1.0, le=45.0)] = 30.0
+    helix_angle_deg: Annotated[float, Interval(ge=1.0, le=45.0)] = 30.0
     max_form_error_um: FormError = 1.0
 
 

@@ -20,10 +20,9 @@ from typing import Annotated
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import Field
 
 from slbench.core.errors import InputError
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length, NotNegative, Whole
 from slbench.objects.artefact import Artefact, Mesh
 from slbench.objects.gears.gear import (
     FormError,
@@ -70,9 +69,9 @@ class WatchGearParameters(ToothedParameters):
 
     face_width_mm: Length
     bore_rounding_mm: Length
-    ra_um: Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)] = 0.8
-    correlation_length_um: Annotated[float, Field(strict=True, ge=0.1, le=1e5)] = 20.0
-    seed: Annotated[int, Field(strict=True, ge=0)] = 0
+    ra_um: NotNegative = 0.8
+    correlation_length_um: Annotated[float, Interval(ge=0.1, le=1e5)] = 20.0
+    seed: Whole = 0
     max_form_error_um: FormError = 0.05
 
 

@@ -11,10 +11,11 @@ from typing import Annotated
 import numpy as np
 import shapely
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+
+from slbench.core.validation.types import Interval
 
 #: Largest distance of a round surface from the certified one, micrometres.
-FormError = Annotated[float, Field(strict=True, ge=0.01, le=1e3, allow_inf_nan=False)]
+FormError = Annotated[float, Interval(ge=0.01, le=1e3)]
 
 
 def circle_segments(radius_mm: float, max_form_error_um: float) -> int:

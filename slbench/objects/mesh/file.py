@@ -13,10 +13,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 import trimesh
-from pydantic import Field
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import MinLen
 from slbench.objects.artefact import Artefact, Mesh
 from slbench.objects.registry import ArtefactKind
 
@@ -37,9 +37,9 @@ class MeshParameters(Parameters):
         Whether to put the bounding box's middle at x = y = 0 and its bottom at z = 0.
     """
 
-    path: Annotated[str, Field(min_length=1)]
+    path: Annotated[str, MinLen(1)]
     unit: Literal["um", "mm", "cm", "inch", "m"]
-    centre: Annotated[bool, Field(strict=True)] = False
+    centre: bool = False
 
 
 def build_mesh_file(parameters: MeshParameters, name: str, where: str) -> Artefact:

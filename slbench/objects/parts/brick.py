@@ -16,17 +16,16 @@ from typing import Annotated
 import manifold3d
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy.spatial import cKDTree
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import REFERENCE, Artefact, Mesh, PlaneFeature
 from slbench.objects.mesh.circles import FormError, circle, circle_segments, measure_circle
 from slbench.objects.registry import ArtefactKind
 
-Clearance = Annotated[float, Field(strict=True, ge=0.0, le=1e4, allow_inf_nan=False)]
+Clearance = Annotated[float, Interval(ge=0.0, le=1e4)]
 
 
 class BrickParameters(Parameters):
@@ -52,14 +51,14 @@ class BrickParameters(Parameters):
         Largest distance of a pin's wall from the true cylinder.
     """
 
-    columns: Annotated[int, Field(strict=True, ge=1, le=32)]
-    rows: Annotated[int, Field(strict=True, ge=2, le=32)]
+    columns: Annotated[int, Interval(ge=1, le=32)]
+    rows: Annotated[int, Interval(ge=2, le=32)]
     pitch_mm: Length = 8.0
     pin_diameter_mm: Length = 4.8
     pin_height_mm: Length = 1.8
     body_height_mm: Length = 9.6
     clearance_mm: Clearance = 0.1
-    margin_fraction: Annotated[float, Field(strict=True, ge=0.0, le=0.4)] = 0.1
+    margin_fraction: Annotated[float, Interval(ge=0.0, le=0.4)] = 0.1
     max_form_error_um: FormError = 0.5
 
 

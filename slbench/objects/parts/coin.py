@@ -22,11 +22,10 @@ from typing import Annotated
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import Field
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length, MaxLen, MinLen
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature, surface_height
 from slbench.objects.mesh.heightfield import close_below
 from slbench.objects.mesh.planar import largest_rectangle, triangulated
@@ -62,18 +61,18 @@ class CoinParameters(Parameters):
         length where the field is rough, and the width of the narrower flank.
     """
 
-    text: Annotated[str, Field(strict=True, min_length=1, max_length=20)]
+    text: Annotated[str, MinLen(1), MaxLen(20)]
     diameter_mm: Length = 1.6
     thickness_mm: Length = 0.3
     text_height_mm: Length = 0.9
     relief_height_mm: Length = 0.06
     rim_height_mm: Length = 0.08
     rim_width_mm: Length = 0.1
-    flank_angle_deg: Annotated[float, Field(strict=True, ge=10.0, le=85.0)] = 65.0
-    field_ra_um: Annotated[float, Field(strict=True, ge=0.0, le=100.0)] = 0.25
-    correlation_length_um: Annotated[float, Field(strict=True, ge=0.1, le=1e4)] = 20.0
-    seed: Annotated[int, Field(strict=True, ge=0, le=2**63)] = 1
-    spacing_um: Annotated[float, Field(strict=True, ge=0.1, le=1e3)] = 5.0
+    flank_angle_deg: Annotated[float, Interval(ge=10.0, le=85.0)] = 65.0
+    field_ra_um: Annotated[float, Interval(ge=0.0, le=100.0)] = 0.25
+    correlation_length_um: Annotated[float, Interval(ge=0.1, le=1e4)] = 20.0
+    seed: Annotated[int, Interval(ge=0, le=2**63)] = 1
+    spacing_um: Annotated[float, Interval(ge=0.1, le=1e3)] = 5.0
 
 
 #: Points of the field at most; 4 million triangles.

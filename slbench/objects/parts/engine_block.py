@@ -20,13 +20,12 @@ from typing import Annotated
 import manifold3d
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import REFERENCE, Artefact, Mesh, PlaneFeature
 from slbench.objects.mesh.booleans import cylinder, to_mesh, to_solid
 from slbench.objects.mesh.circles import FormError, measure_circle
@@ -71,10 +70,10 @@ class EngineBlockParameters(Parameters):
         Largest distance of bores and tunnel from true cylinders.
     """
 
-    bank_angle_deg: Annotated[float, Field(strict=True, ge=40.0, le=120.0)]
+    bank_angle_deg: Annotated[float, Interval(ge=40.0, le=120.0)]
     bore_diameter_mm: Length
     bore_spacing_mm: Length
-    stagger_mm: Annotated[float, Field(strict=True, ge=0.0, le=1e4, allow_inf_nan=False)]
+    stagger_mm: Annotated[float, Interval(ge=0.0, le=1e4)]
     deck_distance_mm: Length
     deck_width_mm: Length
     valley_width_mm: Length
@@ -82,7 +81,7 @@ class EngineBlockParameters(Parameters):
     skirt_mm: Length
     tunnel_diameter_mm: Length
     wall_mm: Length
-    margin_fraction: Annotated[float, Field(strict=True, ge=0.0, le=0.45)] = 0.15
+    margin_fraction: Annotated[float, Interval(ge=0.0, le=0.45)] = 0.15
     max_form_error_um: FormError = 0.5
 
 

@@ -20,13 +20,12 @@ from typing import Annotated, Literal
 import manifold3d
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import REFERENCE, Artefact, Mesh, PlaneFeature
 from slbench.objects.mesh.booleans import cylinder, to_mesh, to_solid
 from slbench.objects.mesh.circles import FormError, measure_circle
@@ -70,7 +69,7 @@ class PropellerParameters(Parameters):
         Largest distance of hub, bore and holes from true cylinders.
     """
 
-    blades: Annotated[int, Field(strict=True, ge=2, le=24)]
+    blades: Annotated[int, Interval(ge=2, le=24)]
     tip_diameter_mm: Length
     hub_diameter_mm: Length
     hub_height_mm: Length
@@ -81,8 +80,8 @@ class PropellerParameters(Parameters):
     root_thickness_mm: Length
     tip_thickness_mm: Length
     section: Literal["airfoil", "plate"] = "airfoil"
-    holes_along: Annotated[int, Field(strict=True, ge=0, le=50)] = 6
-    holes_across: Annotated[int, Field(strict=True, ge=1, le=10)] = 1
+    holes_along: Annotated[int, Interval(ge=0, le=50)] = 6
+    holes_across: Annotated[int, Interval(ge=1, le=10)] = 1
     hole_diameter_mm: Length = 1.0
     max_form_error_um: FormError = 0.5
 

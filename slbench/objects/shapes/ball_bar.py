@@ -15,11 +15,10 @@ import manifold3d
 import numpy as np
 import trimesh.nsphere
 from numpy.typing import NDArray
-from pydantic import Field
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature, SphereFeature
 from slbench.objects.mesh.booleans import cylinder, to_mesh, to_solid
 from slbench.objects.mesh.circles import FormError
@@ -59,7 +58,7 @@ class BallBarParameters(Parameters):
     stem_length_mm: Length
     bar_width_mm: Length
     bar_height_mm: Length
-    margin_fraction: Annotated[float, Field(strict=True, ge=0.0, le=0.45)] = 0.1
+    margin_fraction: Annotated[float, Interval(ge=0.0, le=0.45)] = 0.1
     max_form_error_um: FormError = 0.5
 
 

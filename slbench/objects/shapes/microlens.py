@@ -11,15 +11,13 @@ circle; z = 0 on the plate's top face.
 """
 
 import math
-from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Length, Positive
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature, SphereFeature
 from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.tiles import ring_tile, tiled_plate
@@ -52,7 +50,7 @@ class MicroLensParameters(Parameters):
     aperture_mm: Length = 0.4
     plate_mm: Length = 0.8
     thickness_mm: Length = 0.2
-    max_form_error_um: Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)] = 0.005
+    max_form_error_um: Positive = 0.005
 
 
 def build_micro_lens(parameters: MicroLensParameters, name: str, where: str) -> Artefact:

@@ -6,10 +6,8 @@ plate lies below it.
 
 from typing import Annotated
 
-from pydantic import Field
-
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
 from slbench.objects.mesh.solids import prism
 from slbench.objects.registry import ArtefactKind
@@ -30,7 +28,7 @@ class PlaneParameters(Parameters):
 
     size_mm: tuple[Length, Length]
     thickness_mm: Length = 5.0
-    margin_fraction: Annotated[float, Field(strict=True, ge=0.0, le=0.45)] = 0.05
+    margin_fraction: Annotated[float, Interval(ge=0.0, le=0.45)] = 0.05
 
 
 def build_plane(parameters: PlaneParameters, name: str, where: str) -> Artefact:

@@ -9,11 +9,10 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
 from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import WIDEST, Micrometres, cells, spacings
@@ -42,8 +41,8 @@ class PyramidArrayParameters(Parameters):
         Extent below z = 0.
     """
 
-    rows: Annotated[int, Field(strict=True, ge=1, le=200)] = 8
-    columns: Annotated[int, Field(strict=True, ge=1, le=200)] = 8
+    rows: Annotated[int, Interval(ge=1, le=200)] = 8
+    columns: Annotated[int, Interval(ge=1, le=200)] = 8
     pitch_um: Micrometres = 100.0
     base_um: Micrometres = 80.0
     height_um: Micrometres = 40.0

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import Artefact
 from slbench.objects.mesh.heightfield import height_field
 from slbench.objects.registry import ArtefactKind
@@ -44,10 +44,10 @@ class SinusoidParameters(Parameters):
 
     amplitude_um: Micrometres
     period_um: Micrometres
-    periods: Annotated[int, Field(strict=True, ge=1, le=1000)] = 10
+    periods: Annotated[int, Interval(ge=1, le=1000)] = 10
     width_mm: Length = 1.0
     thickness_mm: Length = 0.5
-    points_per_period: Annotated[int, Field(strict=True, ge=16, le=1024, multiple_of=4)] = 128
+    points_per_period: Annotated[int, Field(ge=16, le=1024, multiple_of=4)] = 128
 
 
 def build_sinusoid(parameters: SinusoidParameters, name: str, where: str) -> Artefact:

@@ -15,16 +15,14 @@ Object frame: origin at the centre of the sphere.
 
 import functools
 import math
-from typing import Annotated
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from pydantic import Field
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Length, Positive
 from slbench.objects.artefact import Artefact, Mesh, SphereFeature
 from slbench.objects.registry import ArtefactKind
 
@@ -44,7 +42,7 @@ class SphereParameters(Parameters):
     """
 
     radius_mm: Length
-    max_form_error_um: Annotated[float, Field(strict=True, gt=0.0, allow_inf_nan=False)] = 0.5
+    max_form_error_um: Positive = 0.5
 
 
 def build_sphere(parameters: SphereParameters, name: str, where: str) -> Artefact:

@@ -12,11 +12,9 @@ follow in ascending order towards +x; the bottom of the base is at z = -base_mm.
 import itertools
 from typing import Annotated
 
-from pydantic import Field
-
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length, MaxLen, MinLen, NotNegative
 from slbench.objects.artefact import REFERENCE, Artefact, PlaneFeature
 from slbench.objects.mesh.solids import prism
 from slbench.objects.registry import ArtefactKind
@@ -42,12 +40,12 @@ class StepBlockParameters(Parameters):
         Legs of the 45 degree chamfer on the upper edge of every rise; 0 for sharp edges.
     """
 
-    heights_mm: Annotated[tuple[Length, ...], Field(min_length=1, max_length=50)]
+    heights_mm: Annotated[tuple[Length, ...], MinLen(1), MaxLen(50)]
     step_length_mm: Length
     width_mm: Length
     base_mm: Length = 5.0
-    margin_fraction: Annotated[float, Field(strict=True, ge=0.0, le=0.45)] = 0.15
-    chamfer_mm: Annotated[float, Field(strict=True, ge=0.0, allow_inf_nan=False)] = 0.0
+    margin_fraction: Annotated[float, Interval(ge=0.0, le=0.45)] = 0.15
+    chamfer_mm: NotNegative = 0.0
 
 
 def build_step_block(parameters: StepBlockParameters, name: str, where: str) -> Artefact:

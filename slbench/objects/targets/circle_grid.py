@@ -16,11 +16,10 @@ import math
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.objects.artefact import Artefact
 from slbench.objects.registry import ArtefactKind
 from slbench.objects.targets.common import (
@@ -55,7 +54,7 @@ class CircleGridParameters(Parameters):
     """
 
     columns: Count = 4
-    rows: Annotated[int, Field(strict=True, ge=3, le=200)] = 11
+    rows: Annotated[int, Interval(ge=3, le=200)] = 11
     spacing_mm: Length = 4.0
     dot_diameter_mm: Length = 3.0
     margin_mm: Length = 5.0

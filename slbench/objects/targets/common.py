@@ -7,19 +7,20 @@ import scipy.sparse
 from numpy.typing import NDArray
 from pydantic import Field
 
+from slbench.core.validation.types import Interval
 from slbench.objects.artefact import REFERENCE, Artefact, Mesh, PlaneFeature
 
 #: Dots wider than this share of their cell would leave slivers between them.
 WIDEST = 0.98
 
 #: Dots, squares or corners in a row.
-Count = Annotated[int, Field(strict=True, ge=2, le=200)]
+Count = Annotated[int, Interval(ge=2, le=200)]
 
 #: Sides of the polygon that stands for a circle.
-Segments = Annotated[int, Field(strict=True, ge=128, le=1024, multiple_of=4)]
+Segments = Annotated[int, Field(ge=128, le=1024, multiple_of=4)]
 
 #: A length, um.
-Micrometres = Annotated[float, Field(strict=True, ge=1.0, le=1e7, allow_inf_nan=False)]
+Micrometres = Annotated[float, Interval(ge=1.0, le=1e7)]
 
 #: Width of the border left out of a fit, as a share of the size.
 _MARGIN_FRACTION = 0.05
