@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from slbench.core.errors import InputError
 from slbench.core.io import plain
-from slbench.core.validation.types import Count, Seed
+from slbench.core.validation.types import Count, Seed, Word
 from slbench.core.validation.values import Value, validated
 from slbench.core.validation.wording import shown
 from slbench.datasets.spec.specification import Patterns, Specification
@@ -68,7 +68,7 @@ class Manifest(Value):
     drawn: tuple[str, ...]
     environment: dict[str, Any]
     specification: dict[str, Any]
-    files: dict[str, str] = field(default_factory=dict)
+    files: dict[str, Word] = field(default_factory=dict)
     format: int = FORMAT
 
     @property
@@ -149,7 +149,7 @@ def _check_parts(manifest: Manifest, where: str) -> None:
         if name not in manifest.columns:
             raise InputError(f"{where}: drawn", "names of columns", shown(name))
     for name, found in manifest.files.items():
-        if not is_member(name) or not isinstance(found, str):
+        if not is_member(name):
             raise InputError(f"{where}: files", "plain names and SHA-256", shown({name: found}))
     libraries = manifest.environment.get("libraries", {})
     if not isinstance(libraries, Mapping):
