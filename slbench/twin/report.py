@@ -79,7 +79,8 @@ def write_experiment(
         selection.model.save(temporary / "model.json")
         write_json(temporary / "calibration.json", to_dict(experiment, selection, comparison))
         with atomic_path(temporary / "tables.md") as path:
-            path.write_text(tables(experiment, selection, comparison), encoding="utf-8")
+            text = f"{tables(experiment, selection, comparison)}\n{coefficients(selection)}"
+            path.write_text(text, encoding="utf-8")
         pictures = {
             "models": models_figure(selection),
             "residuals": residuals_figure(experiment.points, selection),
@@ -110,7 +111,7 @@ def to_dict(
 
 
 def tables(experiment: Experiment, selection: Selection, comparison: Comparison | None) -> str:
-    """Return tables 12 and 13 as Markdown, the thesis's numbers beside ours."""
+    """Return table 13 and that of the methods as Markdown, the thesis's numbers beside ours."""
     empty = len(experiment.without_dots)
     lines = [
         f"{len(experiment.points)} dots at {len(experiment.positions_mm)} positions"
@@ -125,10 +126,6 @@ def tables(experiment: Experiment, selection: Selection, comparison: Comparison 
     ]
     for name, form, rms, thesis_rms, mad, thesis_mad in validation_rows(selection):
         lines.append(f"| {name} | {form} | {rms:.3f} | {thesis_rms} | {mad:.3f} | {thesis_mad} |")
-    lines += ["", "## Coefficients (thesis table 12) in raw pixels, mm", ""]
-    for name, terms in selection.model.raw_coefficients().items():
-        text = ", ".join(f"{term}: {value:.6g}" for term, value in terms.items())
-        lines.append(f"- {name}: {text}")
     if comparison is not None:
         lines += [
             "",
@@ -140,6 +137,15 @@ def tables(experiment: Experiment, selection: Selection, comparison: Comparison 
         for method, *errors, share in method_rows(comparison):
             values = " | ".join(f"{value:.3f}" for value in errors)
             lines.append(f"| {method} | {values} | {share:.0f} % |")
+    return "\n".join(lines) + "\n"
+
+
+def coefficients(selection: Selection) -> str:
+    """Return table 12 as Markdown, a line a coordinate."""
+    lines = ["## Coefficients (thesis table 12) in raw pixels, mm", ""]
+    for name, terms in selection.model.raw_coefficients().items():
+        text = ", ".join(f"{term}: {value:.6g}" for term, value in terms.items())
+        lines.append(f"- {name}: {text}")
     return "\n".join(lines) + "\n"
 
 

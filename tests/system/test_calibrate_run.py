@@ -46,6 +46,7 @@ def test_files_and_numbers(outcome):
     error = model.predict(points.inputs("u")) - points.world
     assert np.sqrt(np.mean(error**2)) < 5e-4
     assert "thesis table 13" in (out / "tables.md").read_text()
+    assert "thesis table 12" in (out / "tables.md").read_text()
     for name in ("models.png", "residuals.png"):
         assert cv2.imread(str(out / name)).shape[1] == 1300
     baselines = printed["baselines"]["methods"]
