@@ -32,6 +32,7 @@ from slbench.bench.claims.pools import Pools
 from slbench.bench.claims.quantities import (
     FEATURE_FIELDS,
     check_set,
+    claim_quantities,
     features_of,
     quantities_of,
     resolve,
@@ -101,7 +102,7 @@ class TestQuantities:
     def test_every_number_of_the_score_is_a_quantity(self):
         scene = small("step-block")
         names = quantities_of(scene)
-        values = score_values(scan(scene, seed=1))
+        values = score_values(scan(scene, seed=1), claim_quantities)
         # Every name stands for one number that was measured, and no number is left out.
         canonical = [resolve(name, scene, "here") for name in names]
         assert sorted(name for (name,) in canonical) == sorted(values)
@@ -166,7 +167,8 @@ class TestQuantities:
         assert score_values(result)[second[0]] == abs(both[1].measured_mm - 2.5)
         # One of the two was not measured: the score does not say which.
         score = replace(result.score, steps=[s for s in result.score.steps if s is not both[0]])
-        assert np.isnan(score_values(replace(result, score=score))[second[0]])
+        blind = replace(result, scores=replace(result.scores, points=score))
+        assert np.isnan(score_values(blind)[second[0]])
 
     def test_units(self):
         names = {
@@ -246,7 +248,8 @@ class TestChecking:
     def test_what_was_not_measured_fails(self, tmp_path, monkeypatch):
         def blind(scene, **options):
             result = scan(scene, **options)
-            return replace(result, score=replace(result.score, steps=[]))
+            points = replace(result.score, steps=[])
+            return replace(result, scores=replace(result.scores, points=points))
 
         monkeypatch.setattr(pooling, "scan", blind)
         (result,) = check(tmp_path, STEP | {"repeats": 2})
@@ -372,7 +375,7 @@ class TestBaseline:
         monkeypatch.setattr(
             pooling,
             "score_values",
-            lambda result: {k: 0.5 * v for k, v in score_values(result).items()},
+            lambda *scan: {k: 0.5 * v for k, v in score_values(*scan).items()},
         )
         assert not any(r.regression.worse for r in self.compared(tmp_path, path))
 
@@ -459,7 +462,7 @@ class TestBaseline:
         monkeypatch.setattr(
             pooling,
             "score_values",
-            lambda result: {k: float("nan") for k in score_values(result)},
+            lambda *scan: {k: float("nan") for k in score_values(*scan)},
         )
         with pytest.raises(InputError, match="a value in every repeat"):
             keep(tmp_path)
