@@ -93,6 +93,8 @@ def main() -> None:
         status = INTERRUPTED
     except BrokenPipeError:  # whoever read the output has enough
         status = 0
+    except SystemExit as error:  # of Typer and rich, which take that for a failure
+        status = 0 if isinstance(error.__context__, BrokenPipeError) else error.code
     except Exception as error:
         if debug:
             traceback.print_exc()

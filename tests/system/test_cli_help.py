@@ -1,5 +1,6 @@
 """The command line's help, and how it ends when something is wrong."""
 
+import os
 import subprocess
 import sys
 
@@ -134,3 +135,13 @@ def test_an_interrupt_ends_with_its_own_status():
 
 def test_a_reader_who_leaves_is_no_error():
     assert ending(BrokenPipeError()) == (0, "", "")
+
+
+@pytest.mark.parametrize("command", [["objects", "list"], ["objects", "list", "--json"]])
+def test_a_reader_who_has_gone_before_the_output_comes_is_no_failure(command):
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-m", "slbench.cli", *command]
+    done = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, "")
