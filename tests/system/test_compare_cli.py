@@ -82,14 +82,14 @@ def test_a_set_has_the_shifts_of_the_scene_unless_it_says(tmp_path):
     ],
 )
 def test_bad_input_is_refused_before_any_light_is_traced(tmp_path, monkeypatch, arguments, words):
-    monkeypatch.setattr(module, "_traced", lambda *_: pytest.fail("traced"))
+    monkeypatch.setattr(module, "traced", lambda *_, **__: pytest.fail("traced"))
     out = tmp_path / "out"
     check_refused(run_cli("compare", write_scene(tmp_path), *arguments, "--out", out), *words)
     assert not out.exists()
 
 
 def test_a_folder_that_is_a_file_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "_traced", lambda *_: pytest.fail("traced"))
+    monkeypatch.setattr(module, "traced", lambda *_, **__: pytest.fail("traced"))
     (tmp_path / "out").write_text("")
     arguments = ("compare", write_scene(tmp_path), "--set", "1,8", "--out", tmp_path / "out")
     check_refused(run_cli(*arguments), "--out", "a folder")

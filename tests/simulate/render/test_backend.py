@@ -262,7 +262,7 @@ class TestChoose:
     @pytest.mark.parametrize("first", ["pass", "import mitsuba"])
     def test_the_variants_are_known_before_and_after_the_import(self, first):
         child = run_python(
-            f"{first}\nfrom slbench.simulate.render import backend\n"
+            f"{first}\nfrom slbench.simulate.render.backend import choice as backend\n"
             "names = (*backend.VARIANTS, 'bogus')\n"
             "print([backend._compiled_in(name) for name in names])\n"
         )

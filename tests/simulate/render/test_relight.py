@@ -226,5 +226,5 @@ class TestTrace:
         assert error < 1e-3 * np.mean(reference)
 
     def test_an_unknown_marginal_is_an_input_error(self):
-        with pytest.raises(InputError, match="marginals: expected u, v or uv, got w"):
+        with pytest.raises(InputError, match=r"marginals\[0\]: expected u, v or uv, got 'w'"):
             trace(scene_of("lenses"), ("w",))  # type: ignore[arg-type]
