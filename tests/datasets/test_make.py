@@ -441,7 +441,9 @@ class TestResume:
         spec, files = load(write_spec(tmp_path, **changes))
         asked = {"count": COUNT, "seed": SEED} | options
         count = asked.pop("count")
-        with pytest.raises(InputError, match=f"{words}: expected the {words}"):
+        with pytest.raises(
+            InputError, match=f"{words}: expected .*, which the data set was begun with"
+        ):
             make_dataset(spec, files, made, count, cluster, resume=True, **asked)
 
     def test_other_versions_do_not_finish_it(self, tiny, copy, cluster):
