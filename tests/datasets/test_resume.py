@@ -207,7 +207,7 @@ def test_killed_at_each_step(spec, reference, tmp_path):
     """Die right after each of the files that matter has appeared, in one process."""
     script = (
         "import os, sys\n"
-        "from slbench.datasets import storage\n"
+        "from slbench.datasets.store import storage\n"
         "import contextlib\n"
         "limit, writing = int(sys.argv.pop(1)), storage.Storage.writing\n"
         "count = 0\n"
