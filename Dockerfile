@@ -1,11 +1,11 @@
-# docker build -t slbench . && docker run --rm -v "$PWD/out:/work/out" slbench
+# docker build -t slbench . && docker run --rm -v "$PWD/out:/data/out" slbench
 FROM python:3.11-slim
 
 WORKDIR /src
 COPY . .
 RUN python -m pip install --no-cache-dir -c constraints.txt . \
     && rm -rf /src
-WORKDIR /work
+WORKDIR /data
 
 ENTRYPOINT ["slbench"]
 CMD ["scan", "step-block", "--out", "out/demo"]
