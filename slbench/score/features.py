@@ -36,8 +36,25 @@ OUTLIER_SIGMAS = 6.0
 MAX_INCIDENCE = np.deg2rad(60.0)
 
 
+class _Length:
+    """A length with its nominal value."""
+
+    nominal_mm: float
+    measured_mm: float
+
+    @property
+    def deviation_mm(self) -> float:
+        """Measured minus nominal."""
+        return self.measured_mm - self.nominal_mm
+
+    @property
+    def error_mm(self) -> float:
+        """Magnitude of the deviation."""
+        return abs(self.deviation_mm)
+
+
 @dataclass(frozen=True)
-class StepScore:
+class StepScore(_Length):
     """Height of one step above the reference face, mm.
 
     ``measured_mm`` is the difference between the least-squares planes of step and reference,
@@ -54,16 +71,6 @@ class StepScore:
     std_mm: float
     uncertainty_mm: float
     points: int
-
-    @property
-    def deviation_mm(self) -> float:
-        """Measured minus nominal height."""
-        return self.measured_mm - self.nominal_mm
-
-    @property
-    def error_mm(self) -> float:
-        """Magnitude of the deviation."""
-        return abs(self.deviation_mm)
 
 
 @dataclass(frozen=True)
@@ -106,7 +113,7 @@ class SphereScore:
 
 
 @dataclass(frozen=True)
-class SpacingScore:
+class SpacingScore(_Length):
     """Distance between the centres of two spheres of one object, mm (ISO 10360-13)."""
 
     object: str
@@ -114,16 +121,6 @@ class SpacingScore:
     nominal_mm: float
     measured_mm: float
     uncertainty_mm: float
-
-    @property
-    def deviation_mm(self) -> float:
-        """Measured minus nominal distance."""
-        return self.measured_mm - self.nominal_mm
-
-    @property
-    def error_mm(self) -> float:
-        """Magnitude of the deviation."""
-        return abs(self.deviation_mm)
 
 
 FeatureScore = StepScore | PlaneScore | SphereScore | SpacingScore
