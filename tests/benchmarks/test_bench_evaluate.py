@@ -1,6 +1,6 @@
 """How fast configurations are evaluated: against plain NumPy within one run.
 
-The targets of DESIGN section 7, 1 ms for a thesis-sampled evaluation in a batch and 40 ms for
+The targets, 1 ms for a thesis-sampled evaluation in a batch and 40 ms for
 the whole sensor on two cores, are printed beside what was measured, never gated.
 """
 
@@ -18,7 +18,7 @@ from slbench.rig import DesignVariables
 MACRO = load_hardware("hardware/macro-ch6")
 TABLE_4 = read_configurations(resources.find("scenes", "hardware/macro-ch6").parent / "table4.csv")
 BATCH = np.tile(TABLE_4, (20, 1))
-#: DESIGN section 7, on two cores.
+#: Targets, on two cores.
 TARGET_MS = {(20, 24): 1.0, (1, 1): 40.0}
 
 

@@ -1,4 +1,4 @@
-"""The budget of DESIGN section 2: trace once, and every further pattern is almost free.
+"""The budget: trace once, and every further pattern is almost free.
 
 Ratios of times measured in one run on one machine, so that they mean the same everywhere.  The
 yardstick is one render of one pattern by Mitsuba's own integrator with as many samples.  Of
@@ -103,7 +103,7 @@ def test_a_further_pattern_costs_at_most_a_fiftieth_of_a_render(benchmark, scene
 
 
 def test_merging_the_samples_is_the_smaller_part(benchmark, render):
-    """Compression to sparse rows: DESIGN section 2 has it at a fifth of a render."""
+    """Compression to sparse rows: a fifth of a render is its budget."""
     rng = np.random.default_rng(0)
     pixels = 640 * 480
     base = rng.integers(0, 600, (pixels, 1)).astype(np.uint16)

@@ -17,7 +17,7 @@ PROJECTOR = Projector(1024, 768, (0.0108, 0.0108), Lens(28.0))
 CONFIGURATION_5 = DesignVariables(
     756.3, -412.5, -100.0, 337.5, np.deg2rad(-18.0), np.deg2rad(10.88)
 )
-#: The world's axes in the design frame (DESIGN section 3).
+#: The world's axes in the design frame.
 DESIGN_TO_WORLD = np.diag([1.0, -1.0, -1.0])
 
 

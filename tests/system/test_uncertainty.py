@@ -97,7 +97,7 @@ def test_two_axes_have_an_error_ellipse():
 
 @pytest.mark.parametrize("bit_depth", [8, 12])
 def test_phase_noise_is_the_closed_form(bit_depth):
-    """sigma_phi = sqrt(2 / N) sigma_I / b (DESIGN section 6), from the data sheet alone."""
+    """sigma_phi = sqrt(2 / N) sigma_I / b, from the data sheet alone."""
     shifts, fringes = 4, 50
     detector = Detector(bit_depth=bit_depth)
     scene = replace(small("plane", shifts=shifts), detector=detector)

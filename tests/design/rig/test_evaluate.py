@@ -62,19 +62,19 @@ def columns(result):
 def test_table_5_from_table_4():
     ours = columns(evaluate(MACRO, TABLE_4))
     off = np.mean(np.abs(ours / TABLE_5 - 1), axis=0)
-    # DESIGN section 7: eta to 4 %, N_s to 4 %, d to 5 %, with room for the phase of the
+    # Stated in rig-design: eta to 4 %, N_s to 4 %, d to 5 %, with room for the phase of the
     # sampling lattice, which the thesis does not state.
     assert off[2] < 0.06
     assert off[3] < 0.06
     assert off[4] < 0.08
     assert spearmanr(ours[:, 0], TABLE_5[:, 0])[0] >= 0.85
-    # Errors with pixel centres are about a third of table 5's (DESIGN section 7).
+    # Errors with pixel centres are about a third of table 5's.
     assert np.median(ours[:, 0] / TABLE_5[:, 0]) == pytest.approx(1 / 3, abs=0.05)
 
 
 def test_configuration_5_against_the_feasible_one():
     result = evaluate(MACRO, np.stack((TABLE_4[4], FEASIBLE)))
-    # DESIGN: about 0.68; the thesis measured 0.71.  Starting the sampling lattice at other
+    # About 0.68 here; the thesis measured 0.71.  Starting the sampling lattice at other
     # columns and rows moves this ratio between 0.62 and 0.76.
     assert result.mu_mm[0] / result.mu_mm[1] == pytest.approx(0.68, abs=0.06)
 
