@@ -20,6 +20,7 @@ import typer
 from slbench import __version__
 from slbench.cli.lazy import Group, command
 from slbench.core.errors import InputError
+from slbench.core.messages import one_line_messages
 from slbench.core.registry import quoted
 
 BAD_INPUT, FAULT, INTERRUPTED = 2, 70, 130
@@ -87,19 +88,21 @@ def main() -> None:
     # Wherever it stands: who sees an error puts it at the end of the line.
     arguments = [word for word in sys.argv[1:] if word != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
-    try:
-        status = app.main(arguments, prog_name="slbench", standalone_mode=False)
-    except (typer.Abort, KeyboardInterrupt):
-        status = INTERRUPTED
-    except BrokenPipeError:  # whoever read the output has enough
-        status = 0
-    except SystemExit as error:  # of Typer and rich, which take that for a failure
-        status = 0 if isinstance(error.__context__, BrokenPipeError) else error.code
-    except Exception as error:
-        if debug:
-            traceback.print_exc()
-        status, message = _explained(error)
-        print("error: " + " ".join(message.split()), file=sys.stderr)
+    with one_line_messages(raw=debug) as messages:
+        try:
+            status = app.main(arguments, prog_name="slbench", standalone_mode=False)
+        except (typer.Abort, KeyboardInterrupt):
+            messages.refused, status = True, INTERRUPTED
+        except BrokenPipeError:  # whoever read the output has enough
+            messages.refused, status = True, 0
+        except SystemExit as error:  # of Typer and rich, which take that for a failure
+            status = 0 if isinstance(error.__context__, BrokenPipeError) else error.code
+        except Exception as error:
+            messages.refused = True
+            if debug:
+                traceback.print_exc()
+            status, message = _explained(error)
+            print("error: " + " ".join(message.split()), file=sys.stderr)
     sys.exit(status if isinstance(status, int) else 0)
 
 

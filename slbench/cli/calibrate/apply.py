@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +9,7 @@ import typer
 
 from slbench.cli.common import AllowModules, Json, MinModulation, check_file, print_json
 from slbench.cli.lazy import command
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 
 
 @command("slbench calibrate apply model.json out/coin --out cloud.ply")
@@ -49,7 +48,7 @@ def apply(
         raise InputError(capture, expected, f"none of {decoded}" if decoded else "none")
     if 2 * outside > decoded:
         share = f"{outside} of {decoded} pixels are outside the model's domain"
-        print(f"warning: {share}: another camera, or a larger object?", file=sys.stderr)
+        warn_user(capture, f"{share}: another camera, or a larger object?")
     sigma = measured.sigma_total_mm
     fields = {"sigma": sigma, "extrapolated": measured.extrapolated.astype(np.float64)}
     write_ply(out, measured.cloud.points, fields)

@@ -7,14 +7,13 @@ Object frame: the file's own axes, scaled to millimetres; with ``centre``, moved
 middle of the bounding box is at x = y = 0 and its bottom at z = 0.
 """
 
-import warnings
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import trimesh
 
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import MinLen
 from slbench.objects.artefact import Artefact, Mesh
@@ -68,7 +67,7 @@ def build_mesh_file(parameters: MeshParameters, name: str, where: str) -> Artefa
 
     Warns
     -----
-    UserWarning
+    InputWarning
         If the mesh is not watertight: it renders, but has no volume.
     """
     path = Path(parameters.path)
@@ -80,7 +79,7 @@ def build_mesh_file(parameters: MeshParameters, name: str, where: str) -> Artefa
         middle = (low + high) / 2
         mesh = Mesh(mesh.vertices - [middle[0], middle[1], low[2]], mesh.faces)
     if not mesh.is_watertight:
-        warnings.warn(f"{path}: the mesh is not watertight", stacklevel=2)
+        warn_user(path, "the mesh is not watertight", stacklevel=3)
     sizes = mesh.bounds[1] - mesh.bounds[0]
     return Artefact(
         name=name,
