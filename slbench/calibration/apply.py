@@ -83,14 +83,16 @@ def measure(model: CalibrationModel, phase: PhaseMap) -> CalibratedCloud:
         raise InputError("capture", f"panel axes {''.join(axes)} coded, as the model needs", coded)
     v, u = np.nonzero(phase.mask)
     pixels = np.column_stack((u, v)).astype(np.int32)
-    panel = np.stack([phase.coordinate[axis][v, u] for axis in axes], axis=-1)
-    inputs = np.column_stack((pixels, panel)).astype(np.float64)
-    inside = model.inside(inputs) if len(inputs) else np.zeros(0, dtype=np.bool_)
     sigma = np.stack([phase.sigma[axis][v, u] for axis in axes], axis=-1)
-    points, std = np.empty((len(inputs), 3)), np.empty((len(inputs), 3))
-    sensitivity = np.empty((len(inputs), len(axes), 3))
-    if len(inputs):
-        points, std = model.predict(inputs), model.predict_std(inputs)
-        sensitivity = np.moveaxis(model.gradient(inputs)[:, :, 2:], 1, 2)
-    cloud = PointCloud(points, pixels, phase.mask.shape, axes, sigma, sensitivity)
-    return CalibratedCloud(cloud, std, ~inside)
+    if not len(pixels):
+        nothing = np.empty((0, 3))
+        cloud = PointCloud(nothing, pixels, phase.mask.shape, axes, sigma, nothing[:, None])
+        return CalibratedCloud(cloud, nothing, np.empty(0, dtype=np.bool_))
+    inputs = np.empty((len(pixels), 2 + len(axes)))
+    inputs[:, :2] = pixels
+    for k, axis in enumerate(axes):
+        inputs[:, 2 + k] = phase.coordinate[axis][v, u]
+    found = model.measure(inputs)
+    shape = phase.mask.shape
+    cloud = PointCloud(found.points, pixels, shape, axes, sigma, found.sensitivity)
+    return CalibratedCloud(cloud, found.std, ~found.inside)

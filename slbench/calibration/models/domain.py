@@ -3,6 +3,10 @@
 The hull is that of ``(u_c, v_c, u_p)``, in standardised units.  These three fix the point in
 space; a second panel coordinate ``v_p`` follows from them by the epipolar geometry but for
 noise, and the hull in all four would be as thin as that noise.
+
+A hull has hundreds of faces, and pixels come row by row: the box about a block of points lies
+inside nearly all of the half-spaces, and only the others are tried point by point.  The box's
+bounds leave room for rounding, so that the mask is that of every half-space tried at every point.
 """
 
 from __future__ import annotations
@@ -21,6 +25,10 @@ SIZE = 3
 #: Distance outside a face that still counts as inside, in standard deviations of the inputs:
 #: far above the rounding of the faces, far below any noise.
 _TOLERANCE = 1e-9
+#: Share of a half-space's terms that rounding may come to, generously.
+_ROUNDING = 1e-13
+#: Points of a block: few enough that the box about them is small.
+_BLOCK = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,22 +67,65 @@ class Domain:
         # Qhull triangulates: a face of a grid of points comes many times.
         return cls(np.unique(np.round(faces, 12), axis=0))
 
-    def inside(self, standardised: Array) -> NDArray[np.bool_]:
-        """Return a mask (n,) of standardised inputs (n, 3 or more) inside the body."""
-        result = np.empty(len(standardised), dtype=np.bool_)
-        _inside(np.ascontiguousarray(standardised[:, :SIZE]), self.half_spaces, result)
+    def inside(
+        self,
+        inputs: Array,
+        mean: tuple[float, ...] | Array = (0.0,) * SIZE,
+        scale: tuple[float, ...] | Array = (1.0,) * SIZE,
+    ) -> NDArray[np.bool_]:
+        """Return a mask (n,) of inputs (n, 3 or more) inside the body.
+
+        They are standardised by `mean` and `scale` on the way, and by default are already.
+        """
+        result = np.empty(len(inputs), dtype=np.bool_)
+        rows = np.ascontiguousarray(inputs)
+        _inside(rows, np.asarray(mean), np.asarray(scale), self.half_spaces, result)
         return result
 
 
-@njit(cache=True, parallel=True)
-def _inside(points: Array, half_spaces: Array, result: NDArray[np.bool_]) -> None:
-    """Try the half-spaces until a point is outside of one."""
-    for i in prange(len(points)):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        inside = True
-        for k in range(len(half_spaces)):
-            plane = half_spaces[k]
-            if plane[0] * x + plane[1] * y + plane[2] * z + plane[3] > _TOLERANCE:
-                inside = False
-                break
-        result[i] = inside
+@njit(cache=True, parallel=True, nogil=True)
+def _inside(inputs, mean, scale, half_spaces, result):  # type: ignore[no-untyped-def]
+    for block in prange((len(inputs) + _BLOCK - 1) // _BLOCK):
+        first = block * _BLOCK
+        count = min(_BLOCK, len(inputs) - first)
+        x = np.empty((SIZE, count))
+        for j in range(SIZE):
+            for i in range(count):
+                x[j, i] = (inputs[first + i, j] - mean[j]) / scale[j]
+        _inside_block(x, half_spaces, result[first : first + count])
+
+
+@njit(cache=True, nogil=True)
+def _inside_block(x, half_spaces, result):  # type: ignore[no-untyped-def]
+    """Mark which of a block's points (3, n) are inside all half-spaces."""
+    count = len(result)
+    low, high, most = np.empty(SIZE), np.empty(SIZE), np.empty(SIZE)
+    for j in range(SIZE):
+        low[j] = high[j] = x[j, 0]
+        for i in range(1, count):
+            low[j] = min(low[j], x[j, i])
+            high[j] = max(high[j], x[j, i])
+        most[j] = max(abs(low[j]), abs(high[j]))
+    result[:] = True
+    for f in range(len(half_spaces)):
+        plane = half_spaces[f]
+        least = greatest = plane[3]
+        room = abs(plane[3])
+        for j in range(SIZE):
+            if plane[j] > 0.0:
+                least += plane[j] * low[j]
+                greatest += plane[j] * high[j]
+            else:
+                least += plane[j] * high[j]
+                greatest += plane[j] * low[j]
+            room += abs(plane[j]) * most[j]
+        room *= _ROUNDING
+        if greatest + room <= _TOLERANCE:
+            continue
+        if least - room > _TOLERANCE:
+            result[:] = False
+            return
+        a, b, c, d = plane[0], plane[1], plane[2], plane[3]
+        for i in range(count):
+            if a * x[0, i] + b * x[1, i] + c * x[2, i] + d > _TOLERANCE:
+                result[i] = False

@@ -6,8 +6,8 @@ covariance of their coefficients, and the domain that they were fitted on.  It s
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slbench.calibration.models.domain import SIZE, Domain
+from slbench.calibration.models.evaluate import Recipe
 from slbench.calibration.models.polynomials import (
     VARIABLES,
     Axes,
@@ -37,8 +38,6 @@ Array = NDArray[np.float64]
 COORDINATES = ("x", "y", "z")
 _KIND = "slbench calibration model"
 _VERSION = 1
-#: Points handled together: bounds the temporaries of a pass to some 50 MB.
-_POINTS_PER_PASS = 1 << 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +59,28 @@ class CoordinateModel:
     coefficients: Array
     covariance: Array
     residual_std: float
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a model says of inputs.
+
+    Parameters
+    ----------
+    points : (n, 3) float
+        World points, mm.
+    std : (n, 3) float
+        Standard deviation of new observations, mm.
+    sensitivity : (n, a, 3) float
+        Derivative of the point by the panel coordinates, mm/px.
+    inside : (n,) bool
+        In the model's domain.
+    """
+
+    points: Array
+    std: Array
+    sensitivity: Array
+    inside: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +145,7 @@ class CalibrationModel:
         """
         inputs = self._checked(points)
         result = np.empty((len(inputs), 3))
-        table, form = self.coefficients, self.form
-        for part, standardised in self._passes(inputs):
-            result[part] = form.design(standardised) @ table
+        self._recipe.run(inputs, points=result)
         return result
 
     def predict_std(self, points: ArrayLike) -> Array:
@@ -137,39 +156,54 @@ class CalibrationModel:
         """
         inputs = self._checked(points)
         result = np.empty((len(inputs), 3))
-        form = self.form
-        for part, standardised in self._passes(inputs):
-            design = form.design(standardised)
-            for k, one in enumerate(self.coordinates):
-                terms = design[:, one.form.columns_in(form)]
-                variance = np.einsum("ni,ni->n", terms @ one.covariance, terms)
-                result[part, k] = np.sqrt(np.maximum(variance, 0.0) + one.residual_std**2)
+        self._recipe.run(inputs, std=result)
         return result
 
     def gradient(self, points: ArrayLike) -> Array:
         """Return the derivative of the world point by the inputs, (n, 3, k), mm/px."""
         inputs = self._checked(points)
-        result = np.empty((len(inputs), 3, inputs.shape[1]))
-        table, form = self.coefficients, self.form
-        for part, standardised in self._passes(inputs):
-            result[part] = form.gradient(standardised, table)
-        return result / self.standardisation.scale
+        result = np.empty((*inputs.shape, 3))
+        self._recipe.run(inputs, derivatives=result)
+        return np.moveaxis(result, 1, 2)
 
     def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return a mask of inputs (n, k) in the domain; elsewhere the model extrapolates."""
+        return self._inside(self._checked(points))
+
+    def _inside(self, inputs: Array) -> NDArray[np.bool_]:
+        return self.domain.inside(inputs, self.standardisation.mean, self.standardisation.scale)
+
+    def measure(self, points: ArrayLike) -> Measured:
+        """Return all of the above at inputs (n, k), in one pass.
+
+        Derivatives are those by the panel coordinates alone, whose noise matters.
+        """
         inputs = self._checked(points)
-        result = np.empty(len(inputs), dtype=np.bool_)
-        for part, standardised in self._passes(inputs):
-            result[part] = self.domain.inside(standardised)
-        return result
+        n, panel = len(inputs), len(self.axes)
+        found, std, sensitivity = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, panel, 3))
+        self._recipe.run(inputs, found, std, sensitivity)
+        return Measured(found, std, sensitivity, self._inside(inputs))
 
     def _checked(self, points: ArrayLike) -> Array:
         return checked_inputs(points, len(VARIABLES[self.axes]), f"model inputs (axes {self.axes})")
 
-    def _passes(self, inputs: Array) -> Iterator[tuple[slice, Array]]:
-        for first in range(0, len(inputs), _POINTS_PER_PASS):
-            part = slice(first, first + _POINTS_PER_PASS)
-            yield part, self.standardisation.apply(inputs[part])
+    @cached_property
+    def _recipe(self) -> Recipe:
+        form, table = self.form, self.coefficients
+        covariances = np.zeros((3, len(form), len(form)))
+        for whole, one in zip(covariances, self.coordinates, strict=True):
+            columns = np.arange(len(form))[one.form.columns_in(form)]
+            whole[np.ix_(columns, columns)] = 0.5 * (one.covariance + one.covariance.T)
+        scale = self.standardisation.scale
+        return Recipe(
+            mean=self.standardisation.mean,
+            scale=scale,
+            steps=form.steps(),
+            coefficients=table,
+            covariances=covariances,
+            residual_variances=np.array([one.residual_std**2 for one in self.coordinates]),
+            slopes=form.derivatives(table) / scale[:, None, None],
+        )
 
     # -- files -------------------------------------------------------------------------
 

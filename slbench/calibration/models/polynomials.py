@@ -132,30 +132,38 @@ class PolynomialForm:
         features, order = _features(self)
         return features.transform(inputs)[:, order]
 
-    def gradient(self, inputs: Array, coefficients: Array) -> Array:
-        """Return the derivative of the polynomial by its inputs.
+    def derivatives(self, coefficients: Array) -> Array:
+        """Return the coefficients of the polynomial's derivatives by its inputs.
 
         Parameters
         ----------
-        inputs : (n, k) float
         coefficients : (p,) or (p, m) float
             Of one or of m polynomials.
 
         Returns
         -------
-        (n, k) or (n, m, k) float
+        (k, p) or (k, p, m) float
         """
-        design = self.design(inputs)
         place = {powers: i for i, powers in enumerate(self.exponents)}
-        result = []
-        for j in range(len(self.variables)):
-            slopes = np.zeros_like(coefficients)
-            for i, powers in enumerate(self.exponents):
-                if powers[j]:
-                    divisor = (*powers[:j], powers[j] - 1, *powers[j + 1 :])
-                    slopes[place[divisor]] += powers[j] * coefficients[i]
-            result.append(design @ slopes)
-        return np.stack(result, axis=-1)
+        result = np.zeros((len(self.variables), *coefficients.shape))
+        for i, powers in enumerate(self.exponents):
+            for j, power in enumerate(powers):
+                if power:
+                    divisor = (*powers[:j], power - 1, *powers[j + 1 :])
+                    result[j, place[divisor]] += power * coefficients[i]
+        return result
+
+    def steps(self) -> NDArray[np.intp]:
+        """Return each term as the product of an earlier term and an input, (p, 2) int.
+
+        The first term is the constant, and its row says nothing.
+        """
+        place = {powers: i for i, powers in enumerate(self.exponents)}
+        result = np.zeros((len(self), 2), dtype=np.intp)
+        for i, powers in enumerate(self.exponents[1:], 1):
+            j = next(j for j, power in enumerate(powers) if power)
+            result[i] = place[(*powers[:j], powers[j] - 1, *powers[j + 1 :])], j
+        return result
 
 
 @cache

@@ -1,6 +1,7 @@
 """The model as a value: predictions, domain, uncertainty, files."""
 
 import json
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -8,8 +9,14 @@ from calibration_data import rig_points
 
 from slbench.calibration.apply import measure
 from slbench.calibration.models.domain import Domain
-from slbench.calibration.models.model import CalibrationModel
+from slbench.calibration.models.model import CalibrationModel, CoordinateModel
 from slbench.calibration.models.points import COLUMNS, CalibrationPoints
+from slbench.calibration.models.polynomials import (
+    VARIABLES,
+    PolynomialForm,
+    Standardisation,
+    polynomial_form,
+)
 from slbench.calibration.selection import select_models
 from slbench.core.errors import InputError
 from slbench.patterns import PhaseMap
@@ -18,6 +25,7 @@ POINTS = rig_points(800, 0.05)
 FOUND = select_models(POINTS)
 MODEL = FOUND.model
 INPUTS = POINTS.inputs()
+EPS = np.finfo(np.float64).eps
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +84,103 @@ class TestPrediction:
                 method(wrong)
 
 
+def form_of(name, axes):
+    """Return a form of the table, or one that is not nested in them: the panel's square."""
+    if name != "added":
+        return polynomial_form(name, axes)
+    rest = (0,) * (len(VARIABLES[axes]) - 3)
+    terms = tuple((0, 0, power, *rest) for power in range(3))
+    return PolynomialForm(name, VARIABLES[axes], terms)
+
+
+def drawn_model(names, axes):
+    """Return a model of any forms, with coefficients, covariances and standardisation drawn."""
+    rng = np.random.default_rng(5)
+    inputs = POINTS.inputs(axes)
+    coordinates = []
+    for name in names:
+        form = form_of(name, axes)
+        root = rng.normal(size=(len(form), len(form)))
+        coordinates.append(
+            CoordinateModel(form, rng.normal(size=len(form)), root @ root.T, rng.random())
+        )
+    standardisation = Standardisation.of(inputs, form.variables)
+    domain = Domain.of(standardisation.apply(inputs))
+    return CalibrationModel(axes, standardisation, tuple(coordinates), domain), inputs
+
+
+class TestOnePass:
+    """The compiled pass against the design matrix, which is scikit-learn's."""
+
+    @pytest.mark.parametrize("axes", ["u", "uv"])
+    @pytest.mark.parametrize(
+        "names", [("M1", "M1", "M1"), ("M2", "M4", "M3"), ("M4", "M4", "M4"), ("M1", "added", "M2")]
+    )
+    def test_all_that_a_model_says(self, names, axes):
+        model, inputs = drawn_model(names, axes)
+        rows = np.resize(inputs, (1000 + 37, inputs.shape[1]))  # whole blocks and a rest
+        found = model.measure(rows)
+        scaled = model.standardisation.apply(rows)
+        for k, one in enumerate(model.coordinates):
+            design = one.form.design(scaled)
+            size = np.abs(design) @ np.abs(one.coefficients)
+            # Sums of up to 35 products in another order: 35 roundings of the terms' sizes.
+            bound = 35 * EPS * size
+            assert np.all(np.abs(found.points[:, k] - design @ one.coefficients) <= bound)
+            expected = np.einsum("ni,ij,nj->n", design, one.covariance, design)
+            bound = (
+                35 * EPS * np.einsum("ni,ij,nj->n", *map(np.abs, (design, one.covariance, design)))
+            )
+            variance = found.std[:, k] ** 2 - one.residual_std**2
+            assert np.all(np.abs(variance - expected) <= bound + 4 * EPS * found.std[:, k] ** 2)
+            slopes = one.form.derivatives(one.coefficients) / model.standardisation.scale[:, None]
+            for j, slope in enumerate(slopes[2:]):
+                bound = 35 * EPS * np.abs(design) @ np.abs(slope)
+                error = found.sensitivity[:, j, k] - design @ slope
+                assert np.all(np.abs(error) <= bound)
+        np.testing.assert_array_equal(found.points, model.predict(rows))
+        np.testing.assert_array_equal(found.std, model.predict_std(rows))
+        gradient = model.gradient(rows)
+        np.testing.assert_array_equal(np.moveaxis(found.sensitivity, 1, 2), gradient[:, :, 2:])
+        np.testing.assert_array_equal(found.inside, model.inside(rows))
+
+    def test_memory_is_that_of_the_results(self):
+        rows = np.resize(INPUTS, (400_000, 3))
+        tracemalloc.start()
+        try:
+            found = MODEL.measure(rows)
+            peak = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+        results = found.points.nbytes + found.std.nbytes + found.sensitivity.nbytes
+        # The mask, and masks of finite inputs beside it; design matrices would be 64 MB each.
+        assert peak < results + 8 * len(rows)
+
+
 class TestDomain:
+    @pytest.mark.parametrize("order", ["rows", "drawn", "far"])
+    def test_every_half_space_at_every_point(self, order):
+        rng = np.random.default_rng(7)
+        domain = Domain.of(rng.normal(size=(400, 3)))
+        assert len(domain.half_spaces) > 50
+        side = np.linspace(-3.0, 3.0, 60)
+        points = np.stack(np.meshgrid(*[side] * 2, side[::8]), axis=-1).reshape(-1, 3)
+        if order == "drawn":
+            points = rng.permutation(points)
+        elif order == "far":
+            points = points * 10.0 ** rng.integers(-3, 12, (len(points), 1))
+        normals, offsets = domain.half_spaces[:, :3], domain.half_spaces[:, 3]
+        # Points on faces too: moved along their own by less and more than the tolerance of 1e-9.
+        face = rng.integers(0, len(normals), len(points))
+        middle = -offsets[face, None] * normals[face]
+        beside = np.concatenate([middle + by * normals[face] for by in (-1e-8, 5e-10, 2e-9)])
+        for some in (points, beside, rng.permutation(beside)):
+            a, b, c = normals.T
+            x, y, z = some[:, 0, None], some[:, 1, None], some[:, 2, None]
+            expected = np.all(a * x + b * y + c * z + offsets <= 1e-9, axis=1)
+            np.testing.assert_array_equal(domain.inside(some), expected)
+            assert order == "far" or 0 < expected.sum() < len(some)
+
     def test_training_points_are_inside_and_others_are_not(self):
         assert MODEL.inside(INPUTS[FOUND.train]).all()
         far = INPUTS + 2 * np.ptp(INPUTS, axis=0)

@@ -52,18 +52,29 @@ def test_design_holds_the_monomials():
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_gradient_is_the_derivative(name):
+def test_derivatives(name):
     form = polynomial_form(name)
     coefficients = RNG.normal(size=(len(form), 2))
+    found = form.derivatives(coefficients)
     step = 1e-5
     for j in range(3):
         shift = step * np.eye(3)[j]
         change = form.design(UNIT + shift) @ coefficients - form.design(UNIT - shift) @ coefficients
         # Third derivatives of order 10 times step^2, and rounding over step: 1e-9.
-        found = form.gradient(UNIT, coefficients)[..., j]
-        np.testing.assert_allclose(found, change / (2 * step), atol=1e-8)
-    one = form.gradient(UNIT, coefficients[:, 0])
-    np.testing.assert_allclose(one, form.gradient(UNIT, coefficients)[:, 0], atol=1e-13)
+        np.testing.assert_allclose(form.design(UNIT) @ found[j], change / (2 * step), atol=1e-8)
+    np.testing.assert_array_equal(form.derivatives(coefficients[:, 0]), found[..., 0])
+
+
+@pytest.mark.parametrize("axes", ["u", "uv"])
+@pytest.mark.parametrize("name", FORMS)
+def test_steps_make_the_terms(name, axes):
+    form = polynomial_form(name, axes)
+    made = np.zeros((len(form), len(form.variables)), dtype=int)
+    for i, (before, factor) in enumerate(form.steps()[1:], 1):
+        assert before < i
+        made[i] = made[before]
+        made[i, factor] += 1
+    np.testing.assert_array_equal(made, form.exponents)
 
 
 @pytest.mark.parametrize("name", FORMS)
