@@ -44,7 +44,10 @@ class CalibratedCloud:
     @property
     def sigma_total_mm(self) -> Array:
         """Standard deviation of the distance to the true point, (N,), mm."""
-        return np.sqrt(np.sum(self.sigma_mm**2, axis=1))
+        noise = self.cloud.sensitivity * self.cloud.sigma_px[..., None]
+        variance = np.einsum("ni,ni->n", self.model_std, self.model_std)
+        variance += np.einsum("nai,nai->n", noise, noise)
+        return np.sqrt(variance)
 
     def inside(self) -> CalibratedCloud:
         """Return the points that the model does not extrapolate to."""
@@ -81,18 +84,20 @@ def measure(model: CalibrationModel, phase: PhaseMap) -> CalibratedCloud:
     if missing:
         coded = "".join(phase.coordinate)
         raise InputError("capture", f"panel axes {''.join(axes)} coded, as the model needs", coded)
-    v, u = np.nonzero(phase.mask)
-    pixels = np.column_stack((u, v)).astype(np.int32)
-    sigma = np.stack([phase.sigma[axis][v, u] for axis in axes], axis=-1)
-    if not len(pixels):
+    mask = phase.mask
+    count = np.count_nonzero(mask)
+    pixels = np.empty((count, 2), dtype=np.int32)
+    pixels[:, 1], pixels[:, 0] = np.nonzero(mask)
+    sigma = np.stack([phase.sigma[axis][mask] for axis in axes], axis=-1)
+    if not count:
         nothing = np.empty((0, 3))
-        cloud = PointCloud(nothing, pixels, phase.mask.shape, axes, sigma, nothing[:, None])
+        slopes = np.empty((0, len(axes), 3))
+        cloud = PointCloud(nothing, pixels, mask.shape, axes, sigma, slopes)
         return CalibratedCloud(cloud, nothing, np.empty(0, dtype=np.bool_))
-    inputs = np.empty((len(pixels), 2 + len(axes)))
+    inputs = np.empty((count, 2 + len(axes)))
     inputs[:, :2] = pixels
     for k, axis in enumerate(axes):
-        inputs[:, 2 + k] = phase.coordinate[axis][v, u]
+        inputs[:, 2 + k] = phase.coordinate[axis][mask]
     found = model.measure(inputs)
-    shape = phase.mask.shape
-    cloud = PointCloud(found.points, pixels, shape, axes, sigma, found.sensitivity)
+    cloud = PointCloud(found.points, pixels, mask.shape, axes, sigma, found.sensitivity)
     return CalibratedCloud(cloud, found.std, ~found.inside)

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 Array = NDArray[np.float64]
 
@@ -51,6 +50,9 @@ class Domain:
         Where they lie in a plane or a line, so that they have no hull, the box along their
         principal axes instead.
         """
+        # Where a model is fitted, not where it is applied: it takes a second to load.
+        from scipy.spatial import ConvexHull, QhullError
+
         points = standardised[:, :SIZE]
         try:
             faces = ConvexHull(points).equations

@@ -9,6 +9,8 @@ too), so standardisation changes the numbers of a fit and not its predictions.
 The forms of the table are nested and their terms stand in one order, so the columns of a smaller
 model are the first columns of a larger one: one QR decomposition serves them all.  Further forms
 are rows of :data:`calibration_models`; they need not be nested.
+
+Who applies a model fits none: scikit-learn and SciPy are loaded by what fits.
 """
 
 from __future__ import annotations
@@ -18,15 +20,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import comb
-from typing import Literal, TypeAlias
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import qr
-from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from slbench.core.errors import InputError
 from slbench.core.registry import Registry
+
+if TYPE_CHECKING:
+    from sklearn.preprocessing import PolynomialFeatures
 
 Array = NDArray[np.float64]
 Axes = Literal["u", "uv"]
@@ -169,6 +172,8 @@ class PolynomialForm:
 @cache
 def _features(form: PolynomialForm) -> tuple[PolynomialFeatures, list[int]]:
     """Return what computes the terms of a form, and its columns in the form's order."""
+    from sklearn.preprocessing import PolynomialFeatures
+
     features = PolynomialFeatures(
         max(map(sum, form.exponents)), interaction_only=form.name == "M2", order="F"
     ).fit(np.zeros((1, len(form.variables))))
@@ -254,6 +259,8 @@ class Standardisation:
         InputError
             Naming an input that is the same in all points.
         """
+        from sklearn.preprocessing import StandardScaler
+
         scaler = StandardScaler().fit(inputs)
         for name, low, high, middle in zip(
             names, inputs.min(axis=0), inputs.max(axis=0), scaler.mean_, strict=True
@@ -314,6 +321,8 @@ class Basis:
             that is a linear combination of those before it (points in one plane of the inputs,
             say).
         """
+        from scipy.linalg import qr
+
         n, p = len(standardised), len(form)
         different = count_different(standardised, p + 1)
         if different <= p:
