@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from slbench.core import resources
 from slbench.core.errors import InputError, located
-from slbench.core.io import read_grey, read_toml, write_png, write_toml
+from slbench.core.io import OutputFolder, read_grey, read_toml, write_png, write_toml
 from slbench.core.modules import load_modules, save_modules
 from slbench.core.show.display import block
 from slbench.core.show.drawing import figure
@@ -56,6 +56,9 @@ from slbench.rig import ALONE, Pair, Rig
 from slbench.rig.opencv import read_rig, write_rig
 
 MANIFEST = "capture.toml"
+#: What a capture has at the top of its folder: modules may have added its codes.
+CAPTURE_ENTRIES = (MANIFEST, "frames", "rig.yaml", "*.py")
+_FOLDER = OutputFolder("capture", CAPTURE_ENTRIES)
 _FORMAT = 1
 
 
@@ -176,10 +179,20 @@ class Capture(Value):
         return figure(self)
 
     def save(self, folder: str | Path) -> None:
-        """Write frames, manifest and rig to `folder`; the manifest comes last.
+        """Write frames, manifest, rig and provenance to `folder`; all or nothing.
 
         The modules that its codes came from stand beside them.
+
+        Raises
+        ------
+        InputError
+            If what slbench did not write is in the way, or a file cannot be written.
         """
+        with _FOLDER.writing(folder, {"patterns": self.sequence.name}, None) as temporary:
+            self.write_into(temporary)
+
+    def write_into(self, folder: str | Path) -> None:
+        """Write frames, manifest and rig as part of a folder that is being made."""
         root = Path(folder)
         (root / "frames").mkdir(parents=True, exist_ok=True)
         names = [f"frames/{k:03d}.png" for k in range(len(self.frames))]

@@ -21,15 +21,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.capture.capture import CAPTURE_ENTRIES, Capture
 from slbench.capture.capture import MANIFEST as CAPTURE_MANIFEST
-from slbench.capture.capture import Capture
 from slbench.capture.focus import Focus
 from slbench.capture.fusion import Alignment, FusionWeights, align, selective_weights
 from slbench.capture.fusion.measures import check_window
 from slbench.capture.fusion.photographs import FusionMethod
 from slbench.core import resources
 from slbench.core.errors import InputError, located
-from slbench.core.io import atomic_folder, read_grey, read_toml, write_exr, write_toml
+from slbench.core.io import OutputFolder, read_grey, read_toml, write_exr, write_toml
 from slbench.core.registry import quoted
 from slbench.core.show.display import block, brief
 from slbench.core.show.drawing import figure
@@ -42,6 +42,8 @@ Array = NDArray[np.float64]
 WeightSource = Literal["lit", "modulation"]
 
 MANIFEST = "stack.toml"
+FUSED_FOLDER = OutputFolder("fused capture", (*CAPTURE_ENTRIES, "fusion.exr"))
+_FOLDER = OutputFolder("focus stack", (MANIFEST, "focus[0-9]*"))
 _FORMAT = 1
 #: Behind the name of a device: its distances in focus.
 _FOCUS = "_mm"
@@ -84,9 +86,16 @@ class FusedCapture:
         return replace(phase, sigma={axis: gain * sigma for axis, sigma in phase.sigma.items()})
 
     def save(self, folder: str | Path) -> None:
-        """Write the capture and, if the weights have maps, ``fusion.exr``; all or nothing."""
-        with atomic_folder(folder) as temporary:
-            self.capture.save(temporary)
+        """Write the capture and, if the weights have maps, ``fusion.exr``; all or nothing.
+
+        Raises
+        ------
+        InputError
+            As :meth:`Capture.save <slbench.capture.capture.Capture.save>`.
+        """
+        parameters = {"patterns": self.capture.sequence.name}
+        with FUSED_FOLDER.writing(folder, parameters, None) as temporary:
+            self.capture.write_into(temporary)
             if isinstance(self.weights, FusionWeights):
                 maps = {
                     "focus": self.weights.focus,
@@ -250,11 +259,22 @@ class FocusStack:
         return figure(self)
 
     def save(self, folder: str | Path) -> None:
-        """Write one capture folder a setting, and ``stack.toml`` last."""
+        """Write one capture folder a setting, ``stack.toml`` and provenance; all or nothing.
+
+        Raises
+        ------
+        InputError
+            As :meth:`Capture.save <slbench.capture.capture.Capture.save>`.
+        """
+        with _FOLDER.writing(folder, {"settings": len(self)}, None) as temporary:
+            self.write_into(temporary)
+
+    def write_into(self, folder: str | Path) -> None:
+        """Write captures and manifest as part of a folder that is being made."""
         root = Path(folder)
         names = [f"focus{k:03d}" for k in range(len(self))]
         for name, capture in zip(names, self.captures, strict=True):
-            capture.save(root / name)
+            capture.write_into(root / name)
         manifest: dict[str, Any] = {"format": _FORMAT, "captures": names}
         if self.focus is not None:
             distances = self.focus.distances_mm.items()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slbench.cli.common import Json, Seed, check_folder, print_json, print_table, progress
+from slbench.cli.common import Json, Seed, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.registry import resolved
 
@@ -44,11 +44,11 @@ def bench(
     as_json: Json = False,
 ) -> None:
     """Re-run published experiments; judge their findings."""
-    from slbench.thesis.outcome import joint_page, write_outcome
+    from slbench.thesis.outcome import joint_page, outcome_folder, write_outcome
 
     chosen = CHAPTERS if chapter == "all" else (chapter,)
     for name in chosen:
-        check_folder(out / name)
+        outcome_folder(name).check(out / name)
     if report is not None:
         from slbench.report.page import check_page_path, write_page
 
@@ -63,7 +63,10 @@ def bench(
         if report is not None:
             write_page(joint_page(outcomes), report)
     if as_json:
-        results = {outcome.chapter: outcome.to_dict() for outcome in outcomes}
+        results = {
+            outcome.chapter: outcome.to_dict() | {"seconds": dict(outcome.seconds)}
+            for outcome in outcomes
+        }
         print_json({"chapters": results, "seed": seed, "out": str(out)})
         return
     for outcome in outcomes:

@@ -107,11 +107,9 @@ def check(
 
 def _check_path(option: str, path: Path, *others: Path) -> None:
     """Refuse a file that cannot be written or that is another, before anything is measured."""
-    if path.is_dir():
-        raise InputError(option, "the name of a file", f"{path}, a folder")
-    there = next(p for p in path.absolute().parents if p.exists())
-    if not there.is_dir():
-        raise InputError(option, "a file in a folder", f"{there}, a file")
+    from slbench.core.io import check_output_file
+
+    check_output_file(path, where=option)
     for other in others:
         both = path.exists() and other.exists()
         if path.resolve() == other.resolve() or (both and path.samefile(other)):

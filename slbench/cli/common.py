@@ -6,12 +6,10 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
-from slbench.core.errors import InputError
 from slbench.core.registry import Registry
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
@@ -35,19 +33,6 @@ AllowModules = Annotated[
         "--allow-modules", help="Run the Python modules that the file names: its author's code."
     ),
 ]
-
-
-def check_folder(path: Path) -> None:
-    """Refuse a folder to write to that is a file, before the work that fills it is done."""
-    there = next(p for p in (path, *path.absolute().parents) if p.exists())
-    if not there.is_dir():
-        raise InputError("--out", "a folder", f"{there}, a file")
-
-
-def check_file(path: Path, suffix: str) -> None:
-    """Refuse a file to write of another kind, or a folder, before the work is done."""
-    if path.suffix.lower() != suffix or path.is_dir():
-        raise InputError("--out", f"the name of a file that ends in {suffix}", path)
 
 
 def listed(text: str, registry: Registry[Any], option: str) -> list[str]:

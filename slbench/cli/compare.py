@@ -14,7 +14,6 @@ from slbench.cli.common import (
     SceneName,
     Seed,
     Weights,
-    check_folder,
     print_json,
     print_table,
     progress,
@@ -57,7 +56,12 @@ def compare(
     from slbench.bench.compare.compare import compare as run
     from slbench.bench.compare.compare import own_shifts
     from slbench.bench.compare.sets import pattern_sets
-    from slbench.report.pages.compare import comparison_page, verdict, write_comparison
+    from slbench.report.pages.compare import (
+        COMPARISON_FOLDER,
+        comparison_page,
+        verdict,
+        write_comparison,
+    )
     from slbench.scene.file import load_scene
 
     if report is not None:
@@ -67,7 +71,7 @@ def compare(
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
     pattern_sets(sets, loaded, shifts=own_shifts(loaded), equal=equal)
     folder = out or Path("out") / f"compare-{loaded.name}"
-    check_folder(folder)
+    COMPARISON_FOLDER.check(folder)
     with progress(as_json) as bar:
         result = run(
             loaded,
@@ -82,7 +86,7 @@ def compare(
         if report is not None:
             write_page(comparison_page(result), report)
     if as_json:
-        print_json(result.to_dict() | {"out": str(folder)})
+        print_json(result.to_dict() | {"seconds": dict(result.seconds), "out": str(folder)})
         return
     print_table(_table(result))
     print(verdict(result))

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, MinModulation, check_folder, print_json
+from slbench.cli.common import AllowModules, Json, MinModulation, print_json
 from slbench.cli.lazy import command
 
 
@@ -30,11 +30,11 @@ def decode(
     The frames may be simulated or photographed.
     """
     from slbench.capture.capture import Capture
-    from slbench.cloud.decoded import decode_capture
+    from slbench.cloud.decoded import DECODED_FOLDER, decode_capture
     from slbench.rig.opencv import read_rig
 
     target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
-    check_folder(target)
+    DECODED_FOLDER.check(target)
     shots = Capture.load(folder, allow_modules=allow_modules)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig, shots.pair))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, check_folder, print_json, print_table, progress
+from slbench.cli.common import AllowModules, Json, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -56,11 +56,11 @@ def fuse(
     capture: every pattern is fused with the weights of the lit frames.
     """
     from slbench.capture.fusion.photographs import FusionMethod
-    from slbench.capture.stack import MANIFEST, FocusStack
+    from slbench.capture.stack import FUSED_FOLDER, MANIFEST, FocusStack
 
     stack = None
     if (folder / MANIFEST).exists():
-        check_folder(out)
+        FUSED_FOLDER.check(out)
         if out.absolute().resolve().is_relative_to(folder.absolute().resolve()):
             raise InputError("--out", "a folder outside the stack's", out)
         # Ahead of the measure's name, which a module of the stack may have added.
@@ -128,10 +128,10 @@ def _fuse_stack(stack: FocusStack, out: Path, how: FusionMethod | int, as_json: 
 
 def _check_out(out: Path, folder: Path) -> None:
     """Refuse an image that cannot be written, or that would be fused the next time."""
-    if out.suffix.lower() != ".png":
-        raise InputError("--out", "a name that ends in .png", out)
-    if out.is_dir():
-        raise InputError("--out", "the name of a file", f"{out}, a folder")
+    from slbench.capture.fusion.photographs import fused_output
+    from slbench.core.io import check_output_file
+
+    check_output_file(out, (".png",))
     if out.absolute().parent.resolve() == folder.resolve():
         raise InputError("--out", "a file outside the folder that is fused", out)
-    check_folder(out.parent)
+    fused_output(out).check(out.parent)

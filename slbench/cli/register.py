@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, check_folder, print_json, print_table, progress
+from slbench.cli.common import Json, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 
@@ -48,15 +48,15 @@ def register_views(
 
     from slbench.cloud import registration
     from slbench.core.io import (
-        atomic_folder,
+        OutputFolder,
         read_ply,
         read_table,
         write_json,
         write_ply,
-        write_provenance,
     )
 
-    check_folder(out)
+    folder = OutputFolder("registered cloud", ("merged.ply", "poses.json"))
+    folder.check(out)
     for option, value in (("--stage-um", stage_um), ("--tilt-mrad", tilt_mrad)):
         if not 0.0 < value < np.inf:
             raise InputError(option, "a positive number", value)
@@ -80,17 +80,16 @@ def register_views(
         )
     merged, view = found.merge(views)
     result = {"files": [str(path) for path in paths], "points": len(merged)} | found.to_dict()
-    with atomic_folder(out) as temporary:
+    parameters = {
+        "files": [str(path) for path in paths],
+        "positions": str(positions),
+        "stage_um": stage_um,
+        "tilt_mrad": tilt_mrad,
+        "voxel_um": 1e3 * found.voxel_mm,
+    }
+    with folder.writing(out, parameters, None) as temporary:
         write_ply(temporary / "merged.ply", merged, {"view": view})
         write_json(temporary / "poses.json", result)
-        parameters = {
-            "files": [str(path) for path in paths],
-            "positions": str(positions),
-            "stage_um": stage_um,
-            "tilt_mrad": tilt_mrad,
-            "voxel_um": 1e3 * found.voxel_mm,
-        }
-        write_provenance(temporary, parameters, None)
     if as_json:
         print_json(result | {"out": str(out)})
         return

@@ -14,7 +14,6 @@ from slbench.cli.common import (
     SceneName,
     Seed,
     Weights,
-    check_folder,
     print_json,
     print_table,
     progress,
@@ -69,7 +68,7 @@ def scan(
     from slbench.report.page import check_page_path, write_page
     from slbench.report.pages.scan import scan_page
     from slbench.scene.file import load_scene
-    from slbench.simulate.folder import write_scan
+    from slbench.simulate.folder import SCAN_FOLDER, write_scan
     from slbench.simulate.scan import scan as run
 
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
@@ -83,7 +82,7 @@ def scan(
             text, steps or given["shifts"], given["axes"] if axes is None else axes
         )
     folder = out or Path("out") / loaded.name
-    check_folder(folder)
+    SCAN_FOLDER.check(folder)
     if page is not None:
         check_page_path(page)
     with progress(as_json) as report:
@@ -101,7 +100,7 @@ def scan(
             write_page(scan_page(result), page)
     if as_json:
         written = {"out": folder} if page is None else {"out": folder, "report": page}
-        print_json(result.to_dict() | written)
+        print_json(result.to_dict() | {"seconds": dict(result.run.seconds)} | written)
     else:
         print_table(_scan_table(result))
         shown = page or (folder / "summary.png" if picture else None)

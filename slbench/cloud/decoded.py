@@ -11,9 +11,11 @@ import numpy as np
 
 from slbench.capture.capture import Capture
 from slbench.cloud.triangulation import PointCloud, triangulate
-from slbench.core.io import atomic_folder, write_exr, write_json, write_ply, write_provenance
+from slbench.core.io import OutputFolder, write_exr, write_json, write_ply
 from slbench.core.show.display import brief
 from slbench.patterns import PhaseMap
+
+DECODED_FOLDER = OutputFolder("decoded capture", ("phase.exr", "cloud.ply", "decode.json"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +68,11 @@ class Decoded:
             **{f"sigma.{axis}": values for axis, values in phase.sigma.items()},
         }
         single = {name: values.astype(np.float32) for name, values in channels.items()}
-        with atomic_folder(folder) as temporary:
+        with DECODED_FOLDER.writing(folder, parameters, None) as temporary:
             write_exr(temporary / "phase.exr", single)
             if cloud:
                 write_ply(temporary / "cloud.ply", cloud.points, {"sigma": cloud.sigma_total_mm})
             write_json(temporary / "decode.json", self.to_dict())
-            write_provenance(temporary, parameters, None)
 
 
 def decode_capture(capture: Capture, *, min_modulation: float | None = None) -> Decoded:

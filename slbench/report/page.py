@@ -26,7 +26,7 @@ from markupsafe import Markup
 
 from slbench.core.errors import InputError
 from slbench.core.io import plain
-from slbench.core.io.atomic import write_bytes
+from slbench.core.io.atomic import check_output_file, write_bytes
 from slbench.core.show.document import Cloud, Page, Part, Picture, Table, Text, shown
 from slbench.report.cloud import cloud_view
 
@@ -36,7 +36,6 @@ _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|inf)(e[+-]?\d+)?")
 _FACTS = {
     "slbench": "slbench",
     "seed": "seed",
-    "time_utc": "time (UTC)",
     "python": "Python",
     "platform": "platform",
 }
@@ -74,14 +73,9 @@ def check_page_path(path: str | Path, where: str = "--report") -> None:
     Raises
     ------
     InputError
-        If it does not end in ``.html``, is a folder, or would lie in a file.
+        If it does not end in ``.html``, is a folder, or cannot be written.
     """
-    path = Path(path)
-    if path.suffix.lower() != ".html" or path.is_dir():
-        raise InputError(where, "the name of a file that ends in .html", path)
-    there = next(p for p in path.absolute().parents if p.exists())
-    if not there.is_dir():
-        raise InputError(where, "a file in a folder", f"{there}, a file")
+    check_output_file(path, (".html",), where)
 
 
 def render_page(page: Page) -> str:

@@ -9,14 +9,29 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.capture.capture import CAPTURE_ENTRIES
 from slbench.cloud.triangulation import PointCloud
-from slbench.core.io import atomic_folder, write_json, write_ply, write_provenance
+from slbench.core.io import OutputFolder, write_json, write_ply
 from slbench.core.show.drawing import write_figure
 from slbench.objects import Mesh
 from slbench.scene.truth import GroundTruth
 from slbench.score.points import point_errors
 from slbench.simulate.pinholes import all_in_focus
 from slbench.simulate.scan import Scan
+
+SCAN_FOLDER = OutputFolder(
+    "scan",
+    (
+        *CAPTURE_ENTRIES,
+        "stack",
+        "all-in-focus",
+        "truth.exr",
+        "transport.npz",
+        "cloud.ply",
+        "score.json",
+        "summary.png",
+    ),
+)
 
 
 def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> list[Path]:
@@ -38,13 +53,14 @@ def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> lis
         ``summary.png``, ``provenance.json``; with focus settings also ``stack/``
         and ``all-in-focus/``, the expected frames through pinholes.
     """
-    with atomic_folder(folder) as temporary:
-        result.capture.save(temporary)
+    provenance = scan_parameters(result), result.run.seed
+    with SCAN_FOLDER.writing(folder, *provenance, timings=result.run.seconds) as temporary:
+        result.capture.write_into(temporary)
         scene = result.scene
         if scene.focus is not None:
-            result.stack.save(temporary / "stack")
+            result.stack.write_into(temporary / "stack")
             light = result.transport, scene.detector, scene.exposure
-            all_in_focus(result.stack, *light).save(temporary / "all-in-focus")
+            all_in_focus(result.stack, *light).write_into(temporary / "all-in-focus")
         result.truth.save(temporary / "truth.exr")
         result.transport.save(temporary / "transport.npz")
         if len(result.cloud):
@@ -52,9 +68,8 @@ def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> lis
         write_json(temporary / "score.json", result.to_dict())
         if picture:
             write_figure(result, temporary / "summary.png")
-        write_provenance(temporary, scan_parameters(result), result.run.seed)
-        names = [entry.name for entry in sorted(temporary.iterdir())]
-    return [Path(folder) / name for name in names]
+        names = [entry.name for entry in temporary.iterdir()]
+    return [Path(folder) / name for name in sorted([*names, SCAN_FOLDER.provenance])]
 
 
 def scan_parameters(result: Scan) -> dict[str, Any]:

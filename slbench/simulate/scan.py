@@ -211,7 +211,6 @@ class Scan:
             **scores,
             "seed": self.run.seed,
             "noise": self.run.noise,
-            "seconds": dict(self.run.seconds),
             **fusion,
         }
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from slbench.core.io import atomic_folder, provenance, write_json
+from slbench.core.io import OutputFolder, provenance, write_json
 from slbench.core.io.atomic import write_bytes
 from slbench.core.show.display import brief
 from slbench.core.show.document import Cloud, Page, Part, Picture, Table
@@ -159,7 +159,6 @@ class Outcome:
             "preview": self.preview,
             "findings": [finding.to_dict() for finding in self.findings],
             "tables": [table.to_dict() for table in self.tables],
-            "seconds": dict(self.seconds),
         }
 
     def page(self) -> Page:
@@ -182,6 +181,11 @@ def joint_page(outcomes: Sequence[Outcome]) -> Page:
     return Page("The thesis's experiments, re-run", parts, origin)
 
 
+def outcome_folder(chapter: str) -> OutputFolder:
+    """Return what a chapter's folder holds."""
+    return OutputFolder(f"{chapter} experiment", (f"{chapter}.md", f"{chapter}.json", "*.png"))
+
+
 def write_outcome(outcome: Outcome, folder: str | Path) -> None:
     """Write ``CHAPTER.md``, ``CHAPTER.json``, the pictures and ``provenance.json``.
 
@@ -189,12 +193,12 @@ def write_outcome(outcome: Outcome, folder: str | Path) -> None:
     ----------
     outcome : Outcome
     folder : path
-        Of this chapter alone; files of the same names are replaced, others stay.
+        Of this chapter alone.
     """
-    with atomic_folder(folder) as temporary:
+    parameters = {**outcome.parameters, "preview": outcome.preview}
+    output = outcome_folder(outcome.chapter)
+    with output.writing(folder, parameters, outcome.seed, timings=outcome.seconds) as temporary:
         write_bytes(temporary / f"{outcome.chapter}.md", outcome.markdown().encode())
         write_json(temporary / f"{outcome.chapter}.json", outcome.to_dict())
         for name, picture in outcome.pictures.items():
             write_bytes(temporary / f"{name}.png", picture.png)
-        parameters = {**outcome.parameters, "preview": outcome.preview}
-        write_json(temporary / "provenance.json", provenance(parameters, outcome.seed))

@@ -14,7 +14,7 @@ from slbench.calibration.baselines import Comparison
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection
 from slbench.calibration.summary import gross_note
-from slbench.core.io import atomic_folder, atomic_path, write_json, write_provenance, write_table
+from slbench.core.io import OutputFolder, atomic_path, write_json, write_table
 from slbench.twin.experiment import Experiment
 
 Array = NDArray[np.float64]
@@ -24,6 +24,20 @@ THESIS_13 = {"x": (0.44, 0.34), "y": (0.57, 0.46), "z": (1.50, 1.24)}
 #: Its last row, the root sum square.
 THESIS_13_TOTAL = (1.67, 1.36)
 _UM = 1e3
+
+
+CALIBRATION_FOLDER = OutputFolder(
+    "calibration experiment",
+    (
+        "points.csv",
+        "detections.csv",
+        "model.json",
+        "calibration.json",
+        "tables.md",
+        "models.png",
+        "residuals.png",
+    ),
+)
 
 
 def write_points(
@@ -40,14 +54,8 @@ def write_points(
         For the provenance.
     seed : int
     """
-    with atomic_folder(folder) as temporary:
-        experiment.points.write(temporary / "points.csv")
-        write_table(
-            temporary / "detections.csv",
-            ("position", "error_u_px", "error_v_px"),
-            np.column_stack((experiment.position, experiment.detection_px)),
-        )
-        write_provenance(temporary, parameters, seed)
+    with CALIBRATION_FOLDER.writing(folder, parameters, seed) as temporary:
+        _write_points(experiment, temporary)
 
 
 def write_experiment(
@@ -74,8 +82,8 @@ def write_experiment(
         For the provenance.
     seed : int
     """
-    with atomic_folder(folder) as temporary:
-        write_points(experiment, temporary, parameters, seed)
+    with CALIBRATION_FOLDER.writing(folder, parameters, seed) as temporary:
+        _write_points(experiment, temporary)
         selection.model.save(temporary / "model.json")
         write_json(temporary / "calibration.json", to_dict(experiment, selection, comparison))
         with atomic_path(temporary / "tables.md") as path:
@@ -89,6 +97,15 @@ def write_experiment(
             FigureCanvasAgg(figure)
             with atomic_path(temporary / f"{name}.png") as path:
                 figure.savefig(path, format="png")
+
+
+def _write_points(experiment: Experiment, folder: Path) -> None:
+    experiment.points.write(folder / "points.csv")
+    write_table(
+        folder / "detections.csv",
+        ("position", "error_u_px", "error_v_px"),
+        np.column_stack((experiment.position, experiment.detection_px)),
+    )
 
 
 def to_dict(

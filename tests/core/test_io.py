@@ -36,8 +36,8 @@ def test_atomic_path_leaves_nothing_when_the_block_raises(tmp_path):
     def fail_halfway():
         with io.atomic_path(tmp_path / "a.json") as temporary:
             temporary.write_text("half")
-            assert temporary.parent == tmp_path
-            assert temporary.suffix == ".json"
+            assert temporary.parent.parent == tmp_path
+            assert temporary.name == "a.json"
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
@@ -61,19 +61,6 @@ def test_atomic_path_does_not_show_the_file_before_it_is_complete(tmp_path):
         assert not path.exists()
     assert path.read_text() == "x"
     assert os.listdir(path.parent) == ["a.txt"]
-
-
-def test_a_folder_that_is_there_is_filled_from_within(tmp_path):
-    # It may be a mount or a home directory: nothing can be renamed into it from beside it, or
-    # nothing be written there.
-    (tmp_path / "kept").write_text("x")
-    with io.atomic_folder(tmp_path) as temporary:
-        assert temporary.parent == tmp_path
-        (temporary / "new").write_text("y")
-        assert sorted(os.listdir(tmp_path)) == sorted([temporary.name, "kept"])
-    assert sorted(os.listdir(tmp_path)) == ["kept", "new"]
-    with io.atomic_folder(tmp_path / "fresh") as temporary:
-        assert temporary.parent == tmp_path
 
 
 def test_written_files_have_the_permissions_of_ordinary_ones(tmp_path):
@@ -504,7 +491,8 @@ def test_opencv_yaml_of_others(tmp_path):
 
 
 def test_provenance_says_what_made_the_result(tmp_path):
-    io.write_provenance(tmp_path, {"fringes": (1, 10, 50), "bad": math.nan}, seed=7)
+    made = io.provenance({"fringes": (1, 10, 50), "bad": math.nan}, seed=7)
+    io.write_json(tmp_path / "provenance.json", made)
     written = io.read_json(tmp_path / "provenance.json")
     assert written["seed"] == 7
     assert written["parameters"] == {"fringes": [1, 10, 50], "bad": None}

@@ -131,7 +131,6 @@ class SetResult:
             "rms_mm": self.rms_mm,
             "order_error_rate": self.order_error_rate,
             "completeness": self.completeness,
-            "seconds": self.seconds,
             "steps": [step._asdict() for step in self.steps],
             "note": self.note,
         }
@@ -270,5 +269,4 @@ class Comparison:
             "pairs": [pair.to_dict() for pair in self.pairs],
             "error_ranking": list(self.error_ranking),
             "error_pairs": [pair.to_dict() for pair in self.error_pairs],
-            "seconds": dict(self.seconds),
         }

@@ -21,7 +21,7 @@ from slbench.capture.fusion.selective import (
     selective_weights,
 )
 from slbench.capture.fusion.stack import Stack
-from slbench.core.io import atomic_folder, write_exr, write_png
+from slbench.core.io import OutputFolder, files_beside, write_exr, write_png
 from slbench.core.show.document import Cell, Table
 
 Progress = Callable[[str, float, str], None]
@@ -112,7 +112,7 @@ class FusedPhotographs:
 
     def save(self, path: Path) -> None:
         """Write the image (.png) and, beside it, an EXR for each map; all or none."""
-        with atomic_folder(path.parent) as temporary:
+        with fused_output(path).writing(path.parent, self.to_dict(), None) as temporary:
             image, *maps = self.files(temporary / path.name)
             write_png(image, self.pixels)
             for file, (name, values) in zip(maps, self.maps.items(), strict=True):
@@ -200,3 +200,8 @@ def fuse_photographs(
         weights=weights,
         alignment=alignment,
     )
+
+
+def fused_output(path: Path) -> OutputFolder:
+    """Return the output of a fused photograph: the image and its maps beside it."""
+    return files_beside("fused photograph", path)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, MinModulation, check_file, print_json
+from slbench.cli.common import AllowModules, Json, MinModulation, print_json
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError, warn_user
 
@@ -32,9 +32,9 @@ def apply(
     from slbench.calibration.apply import measure
     from slbench.calibration.models.model import CalibrationModel
     from slbench.capture.capture import Capture
-    from slbench.core.io import write_ply
+    from slbench.core.io import check_output_file, write_ply
 
-    check_file(out, ".ply")
+    check_output_file(out, (".ply",))
     calibration = CalibrationModel.load(model)
     phase = Capture.load(capture, allow_modules=allow_modules).decode(min_modulation=min_modulation)
     measured = measure(calibration, phase)

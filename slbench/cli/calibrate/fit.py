@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from slbench.cli.common import Json, Seed, check_file, listed, print_json, print_table
+from slbench.cli.common import Json, Seed, listed, print_json, print_table
 from slbench.cli.lazy import command
 
 
@@ -42,8 +42,9 @@ def fit(
     from slbench.calibration.models.polynomials import calibration_models
     from slbench.calibration.selection import select_models
     from slbench.calibration.summary import gross_note, not_converged, score_table
+    from slbench.core.io import check_output_file
 
-    check_file(out, ".json")
+    check_output_file(out, (".json",))
     if report is not None:
         from slbench.report.page import check_page_path, write_page
         from slbench.report.pages.calibration import calibration_page

@@ -15,7 +15,6 @@ from slbench.cli.common import (
     SceneName,
     Seed,
     Weights,
-    check_folder,
     listed,
     print_json,
     progress,
@@ -88,9 +87,15 @@ def run(
         run_experiment,
         stage_positions,
     )
-    from slbench.twin.report import tables, to_dict, write_experiment, write_points
+    from slbench.twin.report import (
+        CALIBRATION_FOLDER,
+        tables,
+        to_dict,
+        write_experiment,
+        write_points,
+    )
 
-    check_folder(out)
+    CALIBRATION_FOLDER.check(out)
     if page is not None:
         check_page_path(page)
     if not np.isfinite(y_step_um) or not np.isfinite(stage_um):

@@ -14,7 +14,6 @@ from slbench.cli.common import (
     DatasetName,
     Json,
     Seed,
-    check_folder,
     print_json,
     progress,
 )
@@ -58,8 +57,7 @@ def export(
 ) -> None:
     """Write a data set, or a part of it, as pictures, HDF5 or BOP."""
     from slbench import datasets
-    from slbench.core.io import atomic_folder
-    from slbench.datasets.export.formats import check_target
+    from slbench.datasets.export.formats import EXPORT_FOLDER, check_target
     from slbench.datasets.export.formats import export as write
     from slbench.datasets.read.recipe import Recipe
     from slbench.patterns import PatternSequence
@@ -74,7 +72,6 @@ def export(
         check_target(form, _target(out, form, name))
     if not fractions:
         check_target(form, out)
-    check_folder(out.parent)
     if where is not None:
         data = data.where(where)
     if patterns is not None and len(data):
@@ -84,7 +81,8 @@ def export(
     with progress(as_json) as report:
         if fractions:
             parts = data.split(**fractions)  # type: ignore[arg-type]
-            with atomic_folder(out) as temporary:
+            parameters = {"dataset": data.manifest.name, "format": form, "split": fractions}
+            with EXPORT_FOLDER.writing(out, parameters, seed) as temporary:
                 for name, part in parts.items():
                     tell = None if report is None else partial(report, f"export {name}")
                     target = _target(temporary, form, name)

@@ -13,7 +13,6 @@ from slbench.cli.common import (
     Preview,
     SceneName,
     Seed,
-    check_folder,
     print_json,
     print_table,
     progress,
@@ -39,12 +38,13 @@ def noise(
     import numpy as np
     from rich.table import Table
 
-    from slbench.core.io import atomic_folder, write_provenance
+    from slbench.core.io import OutputFolder
     from slbench.design.fringes.characterise import characterise, draw
     from slbench.design.fringes.design import candidates
     from slbench.scene.file import load_scene
 
-    check_folder(out)
+    folder = OutputFolder("noise", ("*.csv", "noise.png"))
+    folder.check(out)
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
     counts = candidates(
         loaded.rig.projector.width, max_fringes=max_fringes, min_px_per_fringe=min_px_per_fringe
@@ -61,12 +61,11 @@ def noise(
             seed=seed,
             on_progress=report,
         )
-    with atomic_folder(out) as temporary:
+    parameters = {"scene": loaded.specification, "repeats": repeats, "shifts": shifts}
+    with folder.writing(out, parameters, seed) as temporary:
         for name, measured in found.items():
             measured.write(temporary / f"{name}.csv")
         draw(found, temporary / "noise.png")
-        parameters = {"scene": loaded.specification, "repeats": repeats, "shifts": shifts}
-        write_provenance(temporary, parameters, seed)
     if as_json:
         values = {
             name: {"fringes": t.fringes, "z_mm": t.z_mm, "sigma_rad": t.sigma_rad}

@@ -111,6 +111,7 @@ def patterns(
 ) -> None:
     """Design the fringe sets that the phase noise of a system needs."""
     from slbench.capture.capture import Capture
+    from slbench.core.io import check_output_file
     from slbench.design.fringes.bounded import bounded_sequence
     from slbench.design.fringes.design import (
         candidates,
@@ -140,6 +141,8 @@ def patterns(
     _check_options(context, chosen + ([f"--method {method}"] if criterion == "thesis" else []))
     if plot is not None:
         check_figure(plot)
+    if write_noise is not None:
+        check_output_file(write_noise, where="--write-noise")
     loaded = (
         None if scene is None else load_scene(scene, preview=preview, allow_modules=allow_modules)
     )

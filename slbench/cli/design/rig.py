@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, Seed, check_folder, print_json, progress
+from slbench.cli.common import AllowModules, Json, Seed, print_json, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
 
@@ -57,10 +57,10 @@ def rig(
     from slbench.design.rig.optimise import optimise
     from slbench.design.rig.volume import largest_box
     from slbench.design.search.front import Front
-    from slbench.report.plots.rig_design import write_design
+    from slbench.report.plots.rig_design import DESIGN_FOLDER, write_design
     from slbench.scene.file import read_merged
 
-    check_folder(out)
+    DESIGN_FOLDER.check(out)
     loaded = load_hardware(hardware, allow_modules=allow_modules)
     path = resources.find("scenes", hardware)
     begin: Any = None

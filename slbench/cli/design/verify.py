@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, Seed, check_folder, print_json, progress
+from slbench.cli.common import AllowModules, Json, Seed, print_json, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
 from slbench.core.validation.types import MAX_SAMPLES
@@ -30,13 +30,14 @@ def verify(
     """Scan a plate with rigs; compare errors with predicted ones."""
     import numpy as np
 
-    from slbench.core.io import atomic_folder, write_json, write_provenance
+    from slbench.core.io import OutputFolder, write_json
     from slbench.design.rig.constraints import feasible_sample
     from slbench.design.rig.hardware import load_hardware, read_configurations
     from slbench.design.rig.verify import draw
     from slbench.design.rig.verify import verify as run
 
-    check_folder(out)
+    folder = OutputFolder("verification", ("verify.json", "verify.png"))
+    folder.check(out)
     loaded = load_hardware(hardware, allow_modules=allow_modules)
     if configurations is None:
         rows = feasible_sample(loaded, count, seed)
@@ -58,11 +59,10 @@ def verify(
         "rendered_mm": result.rendered_mm,
         "rendered_z_mm": result.rendered_z_mm,
     }
-    with atomic_folder(out) as temporary:
+    parameters = {"hardware": hardware, "patterns": patterns, "samples": spp}
+    with folder.writing(out, parameters, seed) as temporary:
         write_json(temporary / "verify.json", found)
         draw(result, temporary / "verify.png")
-        parameters = {"hardware": hardware, "patterns": patterns, "samples": spp}
-        write_provenance(temporary, parameters, seed)
     if as_json:
         print_json(found | {"out": str(out)})
         return

@@ -9,7 +9,6 @@ import typer
 
 from slbench.cli.lazy import command
 from slbench.cli.objects.artefact import Changes, Name, artefact_of
-from slbench.core.errors import InputError
 
 
 @command("slbench objects build spur-gear --set teeth=24 --out gear.stl")
@@ -19,11 +18,10 @@ def build(
     changes: Changes = None,
 ) -> None:
     """Build an artefact and write its mesh, in millimetres."""
-    from slbench.core.io import atomic_path
+    from slbench.core.io import atomic_path, check_output_file
 
+    check_output_file(out, (".ply", ".stl", ".obj"))
     artefact = artefact_of(name, changes)
-    if out.suffix.lower() not in (".ply", ".stl", ".obj"):
-        raise InputError("--out", "a name that ends in .ply, .stl or .obj", out)
     mesh = artefact.mesh.as_trimesh
     with atomic_path(out) as temporary:
         mesh.export(temporary)

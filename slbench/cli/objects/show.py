@@ -23,6 +23,7 @@ def show(
     ] = None,
 ) -> None:
     """Draw an artefact: a shaded render, to scale."""
+    from slbench.core.io import check_output_file
     from slbench.report.plots.draw import object_picture
     from slbench.scene.materials import PRESETS
     from slbench.simulate.render.show import shade
@@ -30,6 +31,7 @@ def show(
     if material is not None and material not in PRESETS:
         names = list(PRESETS)
         raise InputError("--material", " or ".join(names), quoted(material, names))
+    check_output_file(out, (".png",))
     artefact = artefact_of(name, changes)
     image, mm_per_px = shade(artefact, material=PRESETS[material] if material else None)
     object_picture(artefact, image, mm_per_px, out)

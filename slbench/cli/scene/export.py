@@ -24,12 +24,14 @@ def export(
     allow_modules: AllowModules = False,
 ) -> None:
     """Write a scene as Mitsuba XML, if stock plugins can express it."""
+    from slbench.core.io import files_beside
     from slbench.patterns import panel_response
     from slbench.scene.file import load_scene
     from slbench.simulate.render.translate import export_xml
 
     if path.suffix.lower() != ".xml":
         raise InputError("path", "a name that ends in .xml", path)
+    files_beside("export", path).check(path.parent)
     loaded = load_scene(scene, allow_modules=allow_modules)
     if pinhole:
         projector = loaded.rig.projector

@@ -18,10 +18,12 @@ def show(
     allow_modules: AllowModules = False,
 ) -> None:
     """Draw a scene: the rig to scale, and the camera's view."""
+    from slbench.core.io import check_output_file
     from slbench.report.plots.draw import scene_picture
     from slbench.scene.file import load_scene
     from slbench.simulate.render.trace import trace
 
+    check_output_file(out, (".png",))
     loaded = load_scene(scene, preview=True, allow_modules=allow_modules)
     parts = loaded.objects, loaded.rig, loaded.light
     scene_picture(loaded, trace(*parts, ("u",), samples=loaded.samples).white(), out)

@@ -14,7 +14,7 @@ import OpenEXR
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
-from slbench.core.io.atomic import atomic_path, describe, existing, write_bytes
+from slbench.core.io.atomic import atomic_path, describe, existing, native_writing, write_bytes
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 
@@ -47,7 +47,7 @@ def write_exr(path: str | Path, channels: Mapping[str, ArrayLike]) -> None:
         shapes = {name: image.shape for name, image in pixels.items()}
         raise InputError(path, "one or more named channels of one shape", shapes or "none")
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with atomic_path(path) as temporary:
+    with atomic_path(path) as temporary, native_writing(path):
         OpenEXR.File(header, pixels).write(str(temporary))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
-from slbench.core.io.atomic import atomic_path, describe, existing
+from slbench.core.io.atomic import describe, existing, write_bytes
 
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
@@ -58,13 +58,12 @@ def write_opencv_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
             entries[name] = value
         else:
             raise InputError(where, "an array, a number or a text", type(value).__name__)
-    with atomic_path(path) as temporary:
-        storage = cv2.FileStorage(str(temporary), cv2.FILE_STORAGE_WRITE)
-        try:
-            for name, value in entries.items():
-                storage.write(name, value)
-        finally:
-            storage.release()
+    # In memory: a file storage says nothing of a disk that is full.
+    flags = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
+    storage = cv2.FileStorage(".yaml", flags)
+    for name, value in entries.items():
+        storage.write(name, value)
+    write_bytes(path, storage.releaseAndGetString().encode())
 
 
 def read_opencv_yaml(path: str | Path) -> dict[str, Any]:

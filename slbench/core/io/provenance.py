@@ -4,11 +4,9 @@ import datetime
 import importlib.metadata
 import platform
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import slbench
-from slbench.core.io.text import write_json
 from slbench.core.modules import used_modules
 from slbench.core.registry import used_packages
 
@@ -65,18 +63,3 @@ def provenance(parameters: Mapping[str, Any], seed: int | None) -> dict[str, Any
         "platform": platform.platform(),
         "time_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
-
-
-def write_provenance(folder: str | Path, parameters: Mapping[str, Any], seed: int | None) -> None:
-    """Write :func:`provenance` as ``provenance.json`` in an output folder.
-
-    Parameters
-    ----------
-    folder : str or Path
-        The output folder.
-    parameters : mapping
-        See :func:`provenance`.
-    seed : int or None
-        See :func:`provenance`.
-    """
-    write_json(Path(folder) / "provenance.json", provenance(parameters, seed))

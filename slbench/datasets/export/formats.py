@@ -10,10 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from slbench.core.errors import InputError
-from slbench.core.io import atomic_folder, atomic_path, write_provenance
+from slbench.core.io import OutputFolder, atomic_path, check_writable
 from slbench.datasets.export.registry import exporters
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Recipe
+
+#: Exporters write what they like, into a folder of their own.
+EXPORT_FOLDER = OutputFolder("export", ("*",))
 
 
 def check_target(form: str, out: Path) -> None:
@@ -30,6 +33,7 @@ def check_target(form: str, out: Path) -> None:
         raise InputError("--out", expected, out)
     if out.is_file() or (out.is_dir() and (suffixes or any(out.iterdir()))):
         raise InputError("--out", "a name that is not taken", f"{out}, which exists")
+    check_writable(out, "--out")
 
 
 def export(
@@ -76,18 +80,16 @@ def export(
             for done in exporter.write(data, recipe, temporary):
                 _report(on_progress, done, data)
         return len(data)
-    with atomic_folder(target) as temporary:
+    parameters = {
+        "dataset": data.manifest.name,
+        "format": form,
+        "patterns": None if recipe.patterns is None else str(recipe.patterns),
+        "noise": recipe.noise,
+        "samples": len(data),
+    }
+    with EXPORT_FOLDER.writing(target, parameters, recipe.seed) as temporary:
         for done in exporter.write(data, recipe, temporary):
             _report(on_progress, done, data)
-        patterns = None if recipe.patterns is None else str(recipe.patterns)
-        parameters = {
-            "dataset": data.manifest.name,
-            "format": form,
-            "patterns": patterns,
-            "noise": recipe.noise,
-            "samples": len(data),
-        }
-        write_provenance(temporary, parameters, recipe.seed)
     return len(data)
 
 

@@ -49,7 +49,7 @@ def write_frames(data: Dataset, recipe: Recipe, folder: Path) -> Iterator[int]:
     write_index(folder / "index.csv", data)
     for done, item in enumerate(data, 1):
         target = folder / key(item.number)
-        recipe.shots(item).save(target)
+        recipe.shots(item).write_into(target)
         depth = item.truth.depth
         scale = depth_scale(depth)
         write_png(target / "depth.png", scaled_depth(depth, scale))

@@ -11,13 +11,13 @@ from __future__ import annotations
 import importlib.util
 import logging
 import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
 from slbench.core.errors import InputError
+from slbench.core.io.scratch import temporary_folder
 from slbench.datasets.make.tasks import THREADS
 from slbench.datasets.store.extras import extra
 from slbench.objects.cache import VARIABLE as CACHE
@@ -151,14 +151,14 @@ def local_cluster(workers: int) -> Iterator[Cluster]:
     threads = str(max(1, _cores() // max(1, workers)))
     with (
         # Drawn objects come once: they must not push others out of the user's cache.
-        tempfile.TemporaryDirectory(prefix="slbench-objects-") as objects,
+        temporary_folder("objects") as objects,
         distributed.LocalCluster(
             n_workers=max(1, workers),
             threads_per_worker=1,
             processes=workers > 0,
             dashboard_address="127.0.0.1:0",  # None would be a fixed port, which may be taken
             silence_logs=logging.CRITICAL,
-            **({"env": _worker_variables(threads, objects), "preload": _DEAF} if workers else {}),
+            **({"env": _worker_variables(threads, str(objects)), "preload": _DEAF} if workers else {}),
         ) as local,
         distributed.Client(local) as client,
     ):

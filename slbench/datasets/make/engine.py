@@ -10,16 +10,15 @@ from __future__ import annotations
 
 import json
 import secrets
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from slbench.core.errors import InputError
+from slbench.core.io.scratch import temporary_folder
 from slbench.datasets.make import tasks
 from slbench.datasets.make.cluster import Cluster, LostError
 from slbench.datasets.make.sample_maker import environment
@@ -167,8 +166,8 @@ def check_request(
     # A run that was killed before all has left nothing but an unfinished file.
     if MANIFEST not in there and not all(map(is_temporary, there)):
         raise InputError(url, "a data set to resume, or nothing", "other files")
-    with tempfile.TemporaryDirectory(prefix="slbench-check-") as temporary:
-        check(specification, files, seed, preview, Path(temporary))
+    with temporary_folder("check") as temporary:
+        check(specification, files, seed, preview, temporary)
 
 
 def _write_manifest(

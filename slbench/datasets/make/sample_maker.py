@@ -13,7 +13,6 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import json
-import tempfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -26,6 +25,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from slbench.cloud.triangulation import triangulate
 from slbench.core.errors import InputError
 from slbench.core.io import provenance, write_json
+from slbench.core.io.scratch import temporary_folder
 from slbench.datasets.spec.sampling import (
     Draw,
     capture_seed,
@@ -136,8 +136,7 @@ def make_sample(
     problem = ""
     for number in range(specification.constraints.max_draws):
         drawn = draw(specification, seed, sample, number)
-        with tempfile.TemporaryDirectory(prefix="slbench-sample-") as temporary:
-            folder = Path(temporary)
+        with temporary_folder("sample") as folder:
             try:
                 scene = place_scene(drawn, files, folder, preview)
             except InputError as error:

@@ -19,8 +19,6 @@ package takes as they are: ``load_scene(folder / "scene.toml")``,
 from __future__ import annotations
 
 import re
-import shutil
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -33,6 +31,7 @@ import numpy as np
 from slbench.capture.capture import MANIFEST, Capture
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml, write_toml
+from slbench.core.io.scratch import scratch_folder, temporary_folder
 from slbench.simulate.transport import LightTransport
 
 SCENE = "scene.toml"
@@ -68,16 +67,16 @@ def capture_names(members: Iterable[str]) -> list[str]:
 
 def write_capture(folder: Path, prefix: str, shots: Capture) -> None:
     """Write a capture's frames and manifest under flat names; the rig is the sample's."""
-    with tempfile.TemporaryDirectory(dir=folder) as temporary:
-        shots.save(temporary)
-        manifest = read_toml(Path(temporary) / MANIFEST)
+    with scratch_folder(folder, "capture") as temporary:
+        shots.write_into(temporary)
+        manifest = read_toml(temporary / MANIFEST)
         names = [f"{prefix}.frame.{k:03d}.png" for k in range(len(shots.frames))]
         for written, name in zip(manifest["frames"], names, strict=True):
-            (Path(temporary) / written).rename(folder / name)
+            (temporary / written).rename(folder / name)
         manifest["frames"] = names
         for k, module in enumerate(manifest.get("modules", ())):
             flat = module if module.startswith(f"{MODULE}.") else f"{MODULE}.{module}"
-            (Path(temporary) / module).rename(folder / flat)
+            (temporary / module).rename(folder / flat)
             manifest["modules"][k] = flat
         write_toml(folder / f"{prefix}.{MANIFEST}", manifest)
 
@@ -140,9 +139,6 @@ def to_folder(members: Mapping[str, bytes], folder: Path) -> None:
 @contextmanager
 def unpacked(members: Mapping[str, bytes]) -> Iterator[Path]:
     """Give a temporary folder with the members as files, for readers that want paths."""
-    folder = Path(tempfile.mkdtemp(prefix="slbench-sample-"))
-    try:
+    with temporary_folder("sample") as folder:
         to_folder(members, folder)
         yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

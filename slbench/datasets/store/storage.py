@@ -18,13 +18,13 @@ from typing import Any
 
 from slbench.core.errors import InputError
 from slbench.core.io import atomic_path
+from slbench.core.io.scratch import is_scratch
 from slbench.datasets.store.extras import extra
 
 #: Protocols whose objects appear when they are complete, and which have no rename.
 _ATOMIC_PUT = {"memory", "s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oci", "oss"}
 _TEMPORARY = ".writing-"
-#: What files are called until they are complete: here, and by :func:`slbench.core.io.atomic_path`.
-_UNFINISHED = re.compile(r"\.writing-[0-9a-f]{12}-.+|\..+\.[0-9a-f]{12}(\.[^.]*)?")
+_UNFINISHED = re.compile(rf"{re.escape(_TEMPORARY)}[0-9a-f]{{12}}-.+")
 
 
 @dataclass(frozen=True)
@@ -157,9 +157,9 @@ class Storage:
 
     def remove_temporary(self, folder: str) -> None:
         """Remove the unfinished files that a killed process left in a folder."""
-        for name in self.names(folder):
-            if is_temporary(name):
-                self.remove(f"{folder}/{name}" if folder else name)
+        for name in filter(is_temporary, self.entries(folder)):
+            path = self._path(f"{folder}/{name}" if folder else name)
+            self._filesystem.rm(path, recursive=True)
 
     def names(self, folder: str) -> list[str]:
         """Return the names of a folder's files, sorted; none where it does not exist."""
@@ -183,8 +183,8 @@ class Storage:
 
 
 def is_temporary(name: str) -> bool:
-    """Return whether a name is that of an unfinished file of this package."""
-    return _UNFINISHED.fullmatch(name) is not None
+    """Return whether a name is that of an unfinished file, or of the folder of one."""
+    return _UNFINISHED.fullmatch(name) is not None or is_scratch(name)
 
 
 def _protocols(filesystem: Any) -> set[str]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.comparison import Comparison, SetResult
 from slbench.bench.compare.tiles import Pair
-from slbench.core.io import atomic_folder, provenance, write_exr, write_json
+from slbench.core.io import OutputFolder, provenance, write_exr, write_json
 from slbench.core.io.atomic import write_bytes
 from slbench.core.show.document import Page, Picture, Table
 
@@ -26,6 +26,11 @@ _UM = 1e3
 _CAPTION = (
     "Standard deviation of each point over the repeats, one map a pattern set, in one colour "
     "scale; its distribution over the pixels; and the medians with their 95 % intervals."
+)
+
+
+COMPARISON_FOLDER = OutputFolder(
+    "comparison", ("comparison.json", "comparison.md", "comparison.png", "maps")
 )
 
 
@@ -76,7 +81,6 @@ def _sets(comparison: Comparison) -> Table:
         "RMS / µm",
         "order errors",
         "complete / %",
-        "seconds",
     )
     rows = tuple(
         (
@@ -90,7 +94,6 @@ def _sets(comparison: Comparison) -> Table:
             _UM * one.rms_mm,
             one.order_error_rate,
             100.0 * one.completeness,
-            one.seconds,
         )
         for one in comparison.sets
     )
@@ -296,7 +299,12 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> list[Path]:
         ``std``, ``std.z`` and ``error.z``, mm, NaN outside the comparison) and
         ``provenance.json``.
     """
-    with atomic_folder(folder) as temporary:
+    origin = comparison.parameters, comparison.seed
+    timings = {
+        "total": comparison.seconds,
+        "sets": {one.name: one.seconds for one in comparison.sets},
+    }
+    with COMPARISON_FOLDER.writing(folder, *origin, timings=timings) as temporary:
         write_json(temporary / "comparison.json", comparison.to_dict())
         text = f"# {comparison.scene}: pattern sets compared\n\n"
         text += "\n".join(table.markdown() for table in tables(comparison))
@@ -307,8 +315,5 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> list[Path]:
             channels = {"std": one.std_mm, "std.z": one.std_z_mm, "error.z": one.error_mm}
             path = temporary / "maps" / f"{one.name.replace(',', '_')}.exr"
             write_exr(path, {name: image.astype(np.float32) for name, image in channels.items()})
-        write_json(
-            temporary / "provenance.json", provenance(comparison.parameters, comparison.seed)
-        )
-        names = [entry.name for entry in sorted(temporary.iterdir())]
-    return [Path(folder) / name for name in names]
+        names = [entry.name for entry in temporary.iterdir()]
+    return [Path(folder) / name for name in sorted([*names, COMPARISON_FOLDER.provenance])]

@@ -11,8 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.core.errors import InputError
-from slbench.core.io import atomic_path
+from slbench.core.io import atomic_path, check_output_file
 from slbench.design.fringes.design import SequenceDesign, predict
 from slbench.design.fringes.noise import PhaseNoise
 
@@ -22,15 +21,14 @@ _LINES = 24
 
 
 def check_figure(path: str | Path) -> None:
-    """Refuse the name of a figure of unknown format.
+    """Refuse the name of a figure of unknown format, or that cannot be written.
 
     Raises
     ------
     InputError
         Unless it ends in one of ``FORMATS``.
     """
-    if Path(path).suffix.lower() not in FORMATS:
-        raise InputError(path, f"a figure: {', '.join(FORMATS)}", Path(path).suffix or "no suffix")
+    check_output_file(path, FORMATS, "--plot")
 
 
 def draw(

@@ -11,7 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.core.io import atomic_folder, atomic_path, write_provenance, write_table, write_toml
+from slbench.core.io import OutputFolder, atomic_path, write_table, write_toml
 from slbench.design.rig.evaluate import Evaluation
 from slbench.design.rig.hardware import VARIABLES
 from slbench.design.rig.optimise import OBJECTIVES, RigDesign
@@ -37,6 +37,11 @@ _LABELS = {
     "dispersion": "dispersion: −d / mm",
     "volume": "volume: −edge of the equal cube / mm",
 }
+
+
+DESIGN_FOLDER = OutputFolder(
+    "rig design", ("front.csv", "clusters.csv", "front.npz", "front.png", "rigs.png", "scene.toml")
+)
 
 
 def write_design(
@@ -66,7 +71,8 @@ def write_design(
         Other configurations to mark in ``front.png``.
     """
     chosen = design.member(pick)
-    with atomic_folder(folder) as temporary:
+    timings = {"search": design.seconds}
+    with DESIGN_FOLDER.writing(folder, parameters, seed, timings=timings) as temporary:
         labels = design.clusters.labels
         members = np.arange(len(design.front))
         _write_csv(temporary / "front.csv", design, members, labels)
@@ -77,7 +83,6 @@ def write_design(
         _draw_front(design, temporary / "front.png", marked)
         _draw_rigs(design, temporary / "rigs.png")
         write_toml(temporary / "scene.toml", scene_of(design, scene, chosen))
-        write_provenance(temporary, parameters, seed)
 
 
 def scene_of(design: RigDesign, content: dict[str, Any], member: int) -> dict[str, Any]:

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
-from slbench.core.io import atomic_folder, write_exr
+from slbench.core.io import files_beside, write_exr
+from slbench.core.io.atomic import native_writing
 from slbench.rig import Camera, Device, Pose, Projector
 from slbench.scene.bsdfs import grey
 from slbench.scene.materials import Material
@@ -292,11 +293,13 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
     }
     if scene.light.ambient_w_per_mm2 > 0:
         content["ambient"] = _ambient(scene.light)
-    with atomic_folder(target.parent) as temporary:
+    output, parameters = files_beside("export", target), {"scene": scene.specification}
+    with output.writing(target.parent, parameters, None) as temporary:
         write_exr(temporary / panel_name, {"Y": panel})
         for shape in shapes(scene.objects):
             mesh_name = f"{target.stem}-{shape.name}.ply"
-            shape.mesh().write_ply(str(temporary / mesh_name))
+            with native_writing(temporary / mesh_name):
+                shape.mesh().write_ply(str(temporary / mesh_name))
             names.append(mesh_name)
             content[shape.name] = {
                 "type": "ply",
@@ -306,4 +309,4 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
             }
         state = mi.parser.parse_dict(mi.parser.ParserConfig(mi.variant()), content)
         mi.parser.write_file(state, str(temporary / target.name), add_section_headers=True)
-    return [target.with_name(name) for name in names]
+    return [target.with_name(name) for name in [*names, output.provenance]]

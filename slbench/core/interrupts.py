@@ -1,0 +1,41 @@
+"""Signals that end a program, held back where they would leave something half done."""
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+#: What asks a program to end; SIGHUP is a terminal that is closed, which Windows has not.
+ENDING = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+
+
+@contextmanager
+def deferred() -> Iterator[None]:
+    """Hold back Ctrl-C and requests to end until the block is left, then let them come.
+
+    For moves of several files, and for imports of compiled modules, whose C++ aborts the process
+    when Python raises in the middle.  Does nothing outside the main thread, where no signal comes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+
+    handlers = {number: signal.getsignal(number) for number in ENDING}
+    # None is a handler that was not installed by Python, and cannot be put back.
+    ours = {number: handler for number, handler in handlers.items() if handler is not None}
+    for number in ours:
+        signal.signal(number, remember)
+    try:
+        yield
+    finally:
+        for number, handler in ours.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])
