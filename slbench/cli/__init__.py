@@ -10,6 +10,7 @@ A command is a file, a group of them a folder; each is imported when it is run. 
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import traceback
@@ -20,10 +21,13 @@ import typer
 from slbench import __version__
 from slbench.cli.lazy import Group, command
 from slbench.core.errors import InputError
+from slbench.core.interrupts import cleaning_up
 from slbench.core.messages import one_line_messages
 from slbench.core.registry import quoted
 
 BAD_INPUT, FAULT, INTERRUPTED = 2, 70, 130
+#: What is said of a status that a signal gave: 128 and its number.
+ENDINGS = {INTERRUPTED: "interrupted", 129: "terminated", 143: "terminated"}
 
 SECTIONS = {
     "Measure": {
@@ -88,11 +92,12 @@ def main() -> None:
     # Wherever it stands: who sees an error puts it at the end of the line.
     arguments = [word for word in sys.argv[1:] if word != "--debug"]
     debug = len(arguments) < len(sys.argv) - 1
-    with one_line_messages(raw=debug) as messages:
+    with one_line_messages(raw=debug) as messages, cleaning_up():
         try:
             status = app.main(arguments, prog_name="slbench", standalone_mode=False)
+            _flush()
         except (typer.Abort, KeyboardInterrupt):
-            messages.refused, status = True, INTERRUPTED
+            status = INTERRUPTED
         except BrokenPipeError:  # whoever read the output has enough
             messages.refused, status = True, 0
         except SystemExit as error:  # of Typer and rich, which take that for a failure
@@ -103,7 +108,22 @@ def main() -> None:
                 traceback.print_exc()
             status, message = _explained(error)
             print("error: " + " ".join(message.split()), file=sys.stderr)
+        if status in ENDINGS:
+            messages.refused = True
+            print(ENDINGS[status], file=sys.stderr)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+def _flush() -> None:
+    """Write what is printed, while an error can still be told."""
+    try:
+        sys.stdout.flush()
+    except OSError as error:
+        # Python would try again at its end, and complain in its own words.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            raise
+        raise InputError("standard output", "to be written", error.strerror) from error
 
 
 def _usage(error: Exception) -> str:
@@ -134,8 +154,8 @@ def _explained(error: Exception) -> tuple[int, str]:
     if isinstance(error, MemoryError):
         return BAD_INPUT, f"memory: expected enough for this scene, got {error}"
     if isinstance(error, OSError):  # a full disk, a folder without permission
-        where = error.filename or "file"
-        return BAD_INPUT, f"{where}: expected to read or write, got {error}"
+        where = error.filename or "a file or device"
+        return BAD_INPUT, f"{where}: expected to read or write, got {error.strerror or error}"
     last = traceback.extract_tb(error.__traceback__)[-1]
     return FAULT, (
         f"a fault of slbench's own, not of the input: {error!r} at {last.filename}:{last.lineno}; "

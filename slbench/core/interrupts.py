@@ -1,4 +1,4 @@
-"""Signals that end a program, held back where they would leave something half done."""
+"""Signals that ask a program to end: it cleans up first, and leaves nothing half done."""
 
 import signal
 import threading
@@ -39,3 +39,31 @@ def deferred() -> Iterator[None]:
             signal.signal(number, handler)
         if came:
             signal.raise_signal(came[0])
+
+
+@contextmanager
+def cleaning_up() -> Iterator[None]:
+    """Let a request to end (SIGTERM, a closed terminal) leave the block by ``SystemExit``.
+
+    Its code is 128 and the signal's number, as shells have it.  Without this the process would be
+    gone at once, and its temporary files would stay.  What a parent ignores stays ignored.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    ours = [
+        number
+        for number in ENDING
+        if number != signal.SIGINT and signal.getsignal(number) == signal.SIG_DFL
+    ]
+    for number in ours:
+        signal.signal(number, leave)
+    try:
+        yield
+    finally:
+        for number in ours:
+            signal.signal(number, signal.SIG_DFL)

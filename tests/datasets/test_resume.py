@@ -28,7 +28,7 @@ KILLS = 20
 
 def command(spec, out, *more):
     words = ["dataset", "make", spec, "--out", out, "--count", COUNT, "--seed", SEED, *more]
-    return [sys.executable, "-m", "slbench.cli", *map(str, words)]
+    return [sys.executable, "-m", "slbench", *map(str, words)]
 
 
 @pytest.fixture(scope="module")
@@ -231,7 +231,7 @@ def test_killed_at_each_step(spec, reference, tmp_path):
         arguments = [sys.executable, "-c", script, str(limit), *words]
         statuses.append(subprocess.run(arguments, capture_output=True).returncode)
     assert statuses == [137] * 6
-    last = subprocess.run([sys.executable, "-m", "slbench.cli", *words], capture_output=True)
+    last = subprocess.run([sys.executable, "-m", "slbench", *words], capture_output=True)
     assert last.returncode == 0, last.stderr
     check_whole(tmp_path / "set", reference)
 

@@ -404,7 +404,7 @@ def test_in_a_process_of_its_own(make, arguments, said, tmp_path):
     make(tmp_path / "work")
     before = sorted(tmp_path.rglob("*"))
     done = subprocess.run(
-        [sys.executable, "-m", "slbench.cli", *arguments],
+        [sys.executable, "-m", "slbench", *arguments],
         capture_output=True,
         text=True,
         check=False,

@@ -65,7 +65,7 @@ def test_version():
 
 
 def test_the_module_runs(tmp_path):
-    command = [sys.executable, "-m", "slbench.cli", "--version"]
+    command = [sys.executable, "-m", "slbench", "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert (done.returncode, done.stdout.strip()) == (0, __version__)
 
@@ -130,7 +130,7 @@ def test_a_fault_names_its_place():
 
 def test_an_interrupt_ends_with_its_own_status():
     found = ending(KeyboardInterrupt())
-    assert (found.status, found.out, found.err) == (130, "", "")
+    assert (found.status, found.out, found.err) == (130, "", "interrupted\n")
 
 
 def test_a_reader_who_leaves_is_no_error():
@@ -141,7 +141,7 @@ def test_a_reader_who_leaves_is_no_error():
 def test_a_reader_who_has_gone_before_the_output_comes_is_no_failure(command):
     reader, writer = os.pipe()
     os.close(reader)
-    words = [sys.executable, "-m", "slbench.cli", *command]
+    words = [sys.executable, "-m", "slbench", *command]
     done = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True, check=False)
     os.close(writer)
     assert (done.returncode, done.stderr) == (0, "")

@@ -92,7 +92,7 @@ class TestMake:
         spec, out, _ = made
         words = ["make", spec, "--out", tmp_path / "set", "--count", 1, "--workers", 1]
         child = subprocess.run(
-            [sys.executable, "-m", "slbench.cli", "dataset", *map(str, words), "--seed", "3"],
+            [sys.executable, "-m", "slbench", "dataset", *map(str, words), "--seed", "3"],
             capture_output=True,
             text=True,
         )
@@ -108,7 +108,7 @@ class TestMake:
         out = tmp_path / "set"
         words = ["make", made[0], "--out", out, "--count", 50, "--workers", 2]
         child = subprocess.Popen(
-            [sys.executable, "-m", "slbench.cli", "dataset", *map(str, words)],
+            [sys.executable, "-m", "slbench", "dataset", *map(str, words)],
             stderr=subprocess.PIPE,
             text=True,
             start_new_session=True,

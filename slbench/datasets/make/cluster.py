@@ -158,7 +158,11 @@ def local_cluster(workers: int) -> Iterator[Cluster]:
             processes=workers > 0,
             dashboard_address="127.0.0.1:0",  # None would be a fixed port, which may be taken
             silence_logs=logging.CRITICAL,
-            **({"env": _worker_variables(threads, str(objects)), "preload": _DEAF} if workers else {}),
+            **(
+                {"env": _worker_variables(threads, str(objects)), "preload": _DEAF}
+                if workers
+                else {}
+            ),
         ) as local,
         distributed.Client(local) as client,
     ):

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 
+from slbench.core.interrupts import deferred
 from slbench.simulate.render.backend.llvm import (
     LLVM_VARIABLE,
     MINIMUM_LLVM,
@@ -131,7 +132,8 @@ def activate(variant: str | None = None) -> ModuleType:
     global _active
     with _lock:
         if _active is None:
-            _active = _start(variant)
+            with deferred():
+                _active = _start(variant)
         requested, where = _requested(variant)
         if requested not in (None, _active.variant):
             expected = f"{_active.variant}, which this process already uses"
