@@ -1,5 +1,6 @@
 """Focus stacks: settings of a scene, folders, fusion of captures, and what fusion gains."""
 
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -180,6 +181,7 @@ def test_captures_that_differ_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"captures\[1\]: expected the patterns of the first"):
         FocusStack([odd, other])
     FocusStack([odd, odd]).save(tmp_path)
+    shutil.rmtree(tmp_path / "focus001")
     other.save(tmp_path / "focus001")
     with pytest.raises(InputError, match="focus001"):
         FocusStack.load(tmp_path)

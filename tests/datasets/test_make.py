@@ -338,6 +338,9 @@ class TestResume:
         left.append("staging/.writing-0123456789ab-000001.tar")
         for name in left:
             (copy / name).write_bytes(b"half")
+        (copy / "shards/.000001.0123456789ab.slbench").mkdir()
+        (copy / "shards/.000001.0123456789ab.slbench/000001.tar").write_bytes(b"half")
+        left.append("shards/.000001.0123456789ab.slbench")
         make_dataset(*tiny, str(copy), COUNT, cluster, seed=SEED, resume=True)
         assert [(copy / name).read_text() for name in mine] == ["mine"] * len(mine)
         assert not any((copy / name).exists() for name in (*left, "staging/000003.tar"))
@@ -351,7 +354,7 @@ class TestResume:
         for name in ("dataset.json", "README.md", "shards/000000.tar", "files/mesh.a.stl"):
             with storage.writing(name):
                 folder = tmp_path / "set" / Path(name).parent
-                unfinished = [p.name for p in folder.iterdir() if p.is_file() and p.name[0] == "."]
+                unfinished = [p.name for p in folder.iterdir() if p.name[0] == "."]
                 assert len(unfinished) == 1
                 assert is_temporary(unfinished[0])
             assert not is_temporary(Path(name).name)

@@ -18,13 +18,13 @@ from typing import Any
 
 from slbench.core.errors import InputError
 from slbench.core.io import atomic_path
-from slbench.core.io.scratch import is_scratch
 from slbench.datasets.store.extras import extra
 
 #: Protocols whose objects appear when they are complete, and which have no rename.
 _ATOMIC_PUT = {"memory", "s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oci", "oss"}
 _TEMPORARY = ".writing-"
-_UNFINISHED = re.compile(rf"{re.escape(_TEMPORARY)}[0-9a-f]{{12}}-.+")
+#: What is called so until it is complete: files here, folders of :func:`atomic_path`.
+_UNFINISHED = re.compile(r"\.writing-[0-9a-f]{12}-.+|\..+\.[0-9a-f]{12}(\.[^.]*)?")
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ class Storage:
 
 def is_temporary(name: str) -> bool:
     """Return whether a name is that of an unfinished file, or of the folder of one."""
-    return _UNFINISHED.fullmatch(name) is not None or is_scratch(name)
+    return _UNFINISHED.fullmatch(name) is not None
 
 
 def _protocols(filesystem: Any) -> set[str]:
