@@ -241,7 +241,7 @@ class Capture(Value):
             different sizes, a path that leaves the folder.
         """
         root = Path(folder)
-        path = root if root.suffix == ".toml" else root / MANIFEST
+        path = root if root.suffix.lower() == ".toml" else root / MANIFEST
         manifest = read_toml(path)
         table = validated(CaptureTable, manifest, str(path), ": ")
         load_modules(table.modules, path.parent, allow_modules, f"{path}: modules")

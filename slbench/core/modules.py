@@ -86,7 +86,7 @@ def module_paths(
             path = inside(folder, name)
         except InputError as error:
             raise InputError(where, error.expected, error.got) from None
-        if path.suffix != ".py":
+        if path.suffix.lower() != ".py":
             raise InputError(where, "Python files (.py)", name)
         found.append((name, path))
     return found

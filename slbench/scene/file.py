@@ -149,7 +149,7 @@ def _with_base(
     if not isinstance(base, str):
         raise InputError(where, "a scene file beside it or the name of a shipped scene", repr(base))
     try:
-        if base.endswith(".toml"):
+        if base.lower().endswith(".toml"):
             parent = resources.inside(path.parent, base)
         else:
             parent = resources.find("scenes", base)
@@ -246,7 +246,7 @@ def _object(
     where = f"{path.name}: objects[{index}]"
     if values.artefact is not None:
         given = values.artefact
-        is_file = given.endswith(".toml") or "/" in given or "\\" in given
+        is_file = given.lower().endswith(".toml") or "/" in given or "\\" in given
         artefact = objects.load_artefact(resources.inside(path.parent, given) if is_file else given)
     elif values.mesh is not None:
         parameters = {"path": values.mesh, "unit": values.unit, "centre": values.centre}

@@ -34,6 +34,11 @@ _TILE = 64
 _PANEL_BYTES = 24
 #: Version of the file layout.
 _FORMAT = 1
+#: What a file may hold of use.
+_ENTRIES = (
+    *("format", "panel", "samples", "ambient"),
+    *(f"{name}_{part}" for name in ("u", "v", "uv") for part in ("counts", "indices", "data")),
+)
 
 
 @njit(parallel=True, cache=True, nogil=True)
@@ -335,7 +340,7 @@ class LightTransport:
         InputError
             If the file is missing, corrupt, or inconsistent.
         """
-        arrays = read_npz(path)
+        arrays = read_npz(path, _ENTRIES)
         version = _checked(path, arrays, "format", "iu", 0)
         if int(version) != _FORMAT:
             raise InputError(f"{path}: format", str(_FORMAT), version)

@@ -82,7 +82,7 @@ def test_not_finite_only_where_it_may_be(table):
         ("", "line 1: expected the header n,z_mm, got none$"),
         ("n,z_mm\n", "expected at least one row below the header, got none$"),
         ("n,z_mm\n\n , \n", "expected at least one row below the header, got none$"),
-        (b"\x89PNG\r\n\x1a\n\x00\x00", "expected a CSV file, got 'utf-8' codec"),
+        (b"\x89PNG\r\n\x1a\n\x00\x00", "a CSV file in UTF-8, got byte 0x89 in line 1"),
         ("n,z_mm\n1,2\x00\n", "line 2: expected 2 finite numbers"),
         # A line that ends inside a quoted cell is no digit between two others.
         ('n,z_mm\n1,"2\n3"\n', "expected 2 finite numbers, got 1,2 3$"),

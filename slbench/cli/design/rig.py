@@ -65,7 +65,7 @@ def rig(
     path = resources.find("scenes", hardware)
     begin: Any = None
     if start is not None:
-        begin = Front.load(start) if start.suffix == ".npz" else read_configurations(start)
+        begin = Front.load(start) if start.suffix.lower() == ".npz" else read_configurations(start)
     with progress(as_json) as report:
         design = optimise(
             loaded,

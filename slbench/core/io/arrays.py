@@ -1,18 +1,20 @@
 """Points and arrays: binary PLY for clouds and meshes, NPZ without pickles for the rest."""
 
+import math
 import re
 import zipfile
-import zlib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import plyfile
+from numpy.lib import format as npy
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.io.atomic import atomic_path, describe, existing
+from slbench.core.io.bounds import check_unpacked
 
 _PLY_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*")
 
@@ -94,6 +96,7 @@ def read_ply(path: str | Path) -> tuple[NDArray[np.float64], dict[str, NDArray[n
         If the file is missing, corrupt, or has no vertices.
     """
     path = existing(path)
+    check_ply(path)
     try:
         vertex = plyfile.PlyData.read(str(path))["vertex"].data
         columns = {
@@ -104,11 +107,47 @@ def read_ply(path: str | Path) -> tuple[NDArray[np.float64], dict[str, NDArray[n
         points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
     except KeyError as error:
         raise InputError(path, "a PLY file with vertices x, y, z", f"none of {error}") from error
-    except (plyfile.PlyParseError, ValueError, EOFError, MemoryError, OverflowError) as error:
+    # Its header is parsed in Python, and damaged ones raise whatever comes.
+    except Exception as error:
         raise InputError(path, "a PLY file", f"a corrupt one ({error})") from error
     if len(points) == 0:
         raise InputError(path, "a PLY file with vertices", "none")
     return points, columns
+
+
+_PLY_LONGEST_HEADER = 2**20
+_PLY_LINE = re.compile(rb"^(element|property)\s+(.*?)\s*$", re.MULTILINE)
+
+
+def check_ply(path: Path) -> None:
+    """Refuse a PLY file whose header promises more rows than the file can hold.
+
+    Parameters
+    ----------
+    path : Path
+        An existing file.
+
+    Raises
+    ------
+    InputError
+        Also if it has no header.
+    """
+    with path.open("rb") as stream:
+        head, end, _ = stream.read(_PLY_LONGEST_HEADER).partition(b"end_header")
+    if not head.startswith(b"ply") or not end:
+        raise InputError(path, "a PLY file", "one without a header")
+    numbers, count = 0, 0
+    for kind, rest in _PLY_LINE.findall(head.replace(b"\r", b"\n")):
+        if kind == b"element":
+            digits = rest.rpartition(b" ")[2]
+            if not digits.isdigit() or len(digits) > 15:
+                raise InputError(path, "a PLY file with numbers of rows", f"{rest[:60]!r}")
+            count = int(digits)
+        else:
+            numbers += count
+    size = path.stat().st_size
+    if numbers > size:  # each takes a byte or more
+        raise InputError(path, f"a PLY file of at most {size} numbers", f"{numbers}")
 
 
 def write_npz(path: str | Path, /, **arrays: ArrayLike) -> None:
@@ -126,49 +165,75 @@ def write_npz(path: str | Path, /, **arrays: ArrayLike) -> None:
     InputError
         If an array holds Python objects or has a name that NumPy keeps for itself.
     """
-    if Path(path).suffix != ".npz":
+    if Path(path).suffix.lower() != ".npz":
         raise InputError(path, "a name that ends in .npz", repr(Path(path).suffix))
     values = {name: np.asarray(array) for name, array in arrays.items()}
     for name, array in values.items():
         if array.dtype.hasobject or name in ("file", "allow_pickle"):
             raise InputError(f"{path}: {name}", "a numeric, boolean or text array", describe(array))
-    with atomic_path(path) as temporary:
-        np.savez(temporary, **values)  # type: ignore[arg-type]
+    # An open file: NumPy would add a suffix in lower case.
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, **values)  # type: ignore[arg-type]
 
 
-def read_npz(path: str | Path) -> dict[str, NDArray[Any]]:
-    """Read named arrays; pickles are refused.
+def read_npz(path: str | Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+    """Read named arrays, and no others; pickles are refused.
+
+    Each array's header is measured before its content is unpacked.
 
     Parameters
     ----------
     path : str or Path
         The file.
+    names : collection of str, optional
+        What is wanted; by default everything that is in the file.
 
     Returns
     -------
     dict of str to ndarray
-        The arrays.
+        The arrays; names that are not in the file are left out.
 
     Raises
     ------
     InputError
-        If the file is missing, corrupt, not an NPZ, or holds pickled objects.
+        If the file is missing, corrupt, not an NPZ, or holds pickled objects; if an array is
+        larger than its file can hold.
     """
     path = existing(path)
     try:
-        with zipfile.ZipFile(path):
-            pass  # np.load takes what is no archive for a pickle, and says so
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in archive.files}
-    except (
-        zipfile.BadZipFile,
-        zlib.error,
-        ValueError,
-        OSError,
-        EOFError,
-        KeyError,
-        SyntaxError,
-        MemoryError,
-        NotImplementedError,
-    ) as error:
+        # np.load takes what is no archive for a pickle, and unpacks before it looks.
+        with zipfile.ZipFile(path) as archive:
+            entries = {entry.filename: entry for entry in archive.infolist()}
+            if names is not None:
+                entries = {f"{n}.npy": entries[f"{n}.npy"] for n in names if f"{n}.npy" in entries}
+            total = sum(entry.file_size for entry in entries.values())
+            check_unpacked(path, total, path.stat().st_size)
+            return {
+                name.removesuffix(".npy"): _read_array(archive, entry, path)
+                for name, entry in entries.items()
+                if name.endswith(".npy")
+            }
+    except InputError:
+        raise
+    # Archives and array headers are parsed by Python, and damaged ones raise whatever comes.
+    except Exception as error:
         raise InputError(path, "an NPZ file of plain arrays", str(error)) from error
+
+
+def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) -> NDArray[Any]:
+    """Read one array whose header agrees with the size that the archive states."""
+    with archive.open(entry) as stream:
+        version = npy.read_magic(stream)
+        read_header = npy.read_array_header_1_0 if version == (1, 0) else None
+        if version == (2, 0):
+            read_header = npy.read_array_header_2_0
+        if read_header is None:  # 3.0 is for names of fields beyond Latin-1
+            raise ValueError(f"array format {version} in {entry.filename}")
+        shape, _, dtype = read_header(stream)
+        size = math.prod(shape) * dtype.itemsize
+        if dtype.hasobject or size != entry.file_size - stream.tell():
+            where = f"{path}: {entry.filename.removesuffix('.npy')}"
+            got = f"{dtype} of shape {shape} in {entry.file_size} bytes"
+            raise InputError(where, "a plain array, all of it", got)
+    with archive.open(entry) as stream:
+        return npy.read_array(stream, allow_pickle=False)

@@ -15,8 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.io.atomic import atomic_path, describe, existing, native_writing, write_bytes
+from slbench.core.io.bounds import check_image, check_size
+from slbench.core.io.headers import image_header
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+#: Bytes of an image file, which OpenCV counts in 31 bits.
+_LARGEST = 2**31 - 1
 
 
 def write_exr(path: str | Path, channels: Mapping[str, ArrayLike]) -> None:
@@ -74,9 +78,16 @@ def read_exr(path: str | Path) -> dict[str, NDArray[Any]]:
         if stream.read(4) != _EXR_MAGIC:
             raise InputError(path, "an EXR file", "a file without the EXR signature")
     try:
+        header = OpenEXR.File(str(path), separate_channels=True, header_only=True).header()
+        low, high = (np.asarray(corner, dtype=np.int64) for corner in header["dataWindow"])
+        width, height = (int(n) for n in high - low + 1)
+        check_image(path, width, height, 4 * len(header["channels"]))
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
         images = {name: channel.pixels for name, channel in channels.items()}
-    except (RuntimeError, ValueError, MemoryError) as error:
+    except InputError:
+        raise
+    # The binding has many ways to fail at a corrupt file: RuntimeError, TypeError, KeyError, ...
+    except Exception as error:
         raise InputError(path, "an EXR file", f"a corrupt one ({error})") from error
     if not images or len({np.shape(image) for image in images.values()}) != 1:
         raise InputError(path, "EXR channels of one shape", "none, or subsampled ones")
@@ -121,7 +132,7 @@ def write_png(path: str | Path, image: ArrayLike) -> None:
 
 
 def read_grey(path: str | Path) -> NDArray[Any]:
-    """Read an image (PNG, TIFF, BMP, JPEG, ...) as grey values, bit depth kept.
+    """Read an image (PNG, TIFF, BMP, JPEG, PGM) as grey values, bit depth kept.
 
     Colour becomes luma, ``0.299 R + 0.587 G + 0.114 B`` (ITU-R BT.601); transparency and
     orientation tags are ignored: a camera's pixels stay where the sensor had them.
@@ -149,7 +160,7 @@ def read_grey(path: str | Path) -> NDArray[Any]:
 
 
 def read_colour(path: str | Path) -> NDArray[Any]:
-    """Read an image (PNG, TIFF, BMP, JPEG, ...) as it is, grey or colour, bit depth kept.
+    """Read an image (PNG, TIFF, BMP, JPEG, PGM) as it is, grey or colour, bit depth kept.
 
     Orientation tags are ignored: a camera's pixels stay where the sensor had them.
 
@@ -180,12 +191,18 @@ def read_colour(path: str | Path) -> NDArray[Any]:
 def _decoded(path: str | Path) -> NDArray[Any]:
     """Return an image file's pixels as OpenCV has them: (V, U), or (V, U, 3 or 4), blue first."""
     path = existing(path)
+    check_size(path, _LARGEST, "an image")
     content = path.read_bytes()
+    header = image_header(content)
+    if header is None:
+        expected = "an image file (PNG, TIFF, BMP, JPEG or PGM)"
+        raise InputError(path, expected, "another kind, or a damaged header")
+    check_image(path, *header)
     if content.startswith(b"\xff\xd8") and not _jpeg_is_whole(content):
         raise InputError(path, "an image file", "a JPEG that is cut off")
     encoded = np.frombuffer(content, dtype=np.uint8)
     try:
-        image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
+        image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise InputError(path, "an image file", f"a corrupt one ({error})") from error
     if image is None:

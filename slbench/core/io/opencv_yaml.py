@@ -14,8 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
-from slbench.core.io.atomic import describe, existing, write_bytes
+from slbench.core.io.atomic import describe, write_bytes
+from slbench.core.io.text import read_text
 
+#: Bytes of a file.
+_LARGEST = 64_000_000
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -36,7 +39,7 @@ def write_opencv_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
         If a name or a value is not one that OpenCV can hold.
     """
     path = Path(path)
-    if path.suffix not in (".yml", ".yaml"):
+    if path.suffix.lower() not in (".yml", ".yaml"):
         raise InputError(path, "a name that ends in .yml or .yaml", repr(path.suffix))
     entries: dict[str, Any] = {}
     for name, value in values.items():
@@ -84,10 +87,13 @@ def read_opencv_yaml(path: str | Path) -> dict[str, Any]:
     InputError
         If the file is missing or corrupt, or holds structures other than these.
     """
-    path = existing(path)
+    # In memory: OpenCV takes a byte order mark for the wrong format.
+    text = read_text(path, "an OpenCV YAML file", _LARGEST)
     values: dict[str, Any] = {}
     try:
-        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        if "\0" in text:
+            raise SystemError
+        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         try:
             root = storage.root()
             for name in root.keys():  # noqa: SIM118 - a FileNode is not a mapping

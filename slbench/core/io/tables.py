@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
-from slbench.core.io.atomic import existing, write_bytes
+from slbench.core.io.atomic import write_bytes
+from slbench.core.io.text import read_text
 
 _SHOWN = 80
+#: Bytes of a file.
+_LARGEST = 256_000_000
 
 
 def read_table(
@@ -39,11 +42,7 @@ def read_table(
         If the file is missing or holds no rows, a column is missing or unknown, or a cell is
         no number, with its line.
     """
-    there = existing(path)
-    try:
-        text = there.read_text(encoding="utf-8-sig")
-    except ValueError as error:
-        raise InputError(path, "a CSV file", error) from None
+    text = read_text(path, "a CSV file", _LARGEST)
     lines = csv.reader(io.StringIO(text, newline=""))
     try:
         table = [(lines.line_num, cells) for cells in lines]

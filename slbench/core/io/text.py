@@ -1,4 +1,8 @@
-"""Text that people and programs read: JSON for scores, TOML for what people write."""
+"""Text that people and programs read: JSON for scores, TOML for what people write.
+
+All text is UTF-8.  A byte order mark, which Windows' editors put ahead of it, is passed over, and
+lines may end as they end there.
+"""
 
 import json
 import math
@@ -12,6 +16,47 @@ import tomli_w
 
 from slbench.core.errors import InputError
 from slbench.core.io.atomic import existing, write_bytes
+from slbench.core.io.bounds import check_size
+
+#: Bytes of a file that people write, and of one that programs do.
+_LARGEST_TOML, _LARGEST_JSON = 16_000_000, 256_000_000
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+
+
+def read_text(path: str | Path, kind: str, most: int) -> str:
+    r"""Read a text file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    kind : str
+        What it is, for messages, e.g. ``"a TOML file"``.
+    most : int
+        Bytes that it may have.
+
+    Returns
+    -------
+    str
+        Without the byte order mark; lines end with ``\n``.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, too large, or not in UTF-8.
+    """
+    path = existing(path)
+    check_size(path, most, kind)
+    content = path.read_bytes()
+    if content.startswith(_UTF16) or b"\0" in content[:2]:
+        raise InputError(path, f"{kind} in UTF-8", "UTF-16: save it as UTF-8")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        got = f"byte {content[error.start]:#04x} in line {line}: save it as UTF-8"
+        raise InputError(path, f"{kind} in UTF-8", got) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def write_json(path: str | Path, values: Any) -> None:
@@ -51,13 +96,13 @@ def read_json(path: str | Path) -> Any:
     InputError
         If the file is missing or is not JSON, with line and column.
     """
-    path = existing(path)
+    text = read_text(path, "a JSON file", _LARGEST_JSON)
 
     def refuse(constant: str) -> None:
         raise ValueError(f"{constant}, which JSON does not have")
 
     try:
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=refuse)
+        return json.loads(text, parse_constant=refuse)
     except (ValueError, RecursionError) as error:
         raise InputError(path, "a JSON file", error) from error
 
@@ -103,9 +148,9 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     InputError
         If the file is missing or is not TOML, with line and column.
     """
-    path = existing(path)
+    text = read_text(path, "a TOML file", _LARGEST_TOML)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise InputError(path, "a TOML file", error) from error
 

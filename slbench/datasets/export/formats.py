@@ -28,7 +28,7 @@ def check_target(form: str, out: Path) -> None:
         For another format, or a file or a folder with something in it at `out`.
     """
     suffixes = exporters.get(form, "--format").suffixes
-    if suffixes and out.suffix not in suffixes:
+    if suffixes and out.suffix.lower() not in suffixes:
         expected = f"for {form} a file that ends in {' or '.join(suffixes)}"
         raise InputError("--out", expected, out)
     if out.is_file() or (out.is_dir() and (suffixes or any(out.iterdir()))):

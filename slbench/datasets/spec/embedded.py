@@ -43,7 +43,7 @@ def embedded(
     """
     table = dict(table)
     artefact = table.get("artefact")
-    if isinstance(artefact, str) and (artefact.endswith(".toml") or "/" in artefact):
+    if isinstance(artefact, str) and (artefact.lower().endswith(".toml") or "/" in artefact):
         try:
             source = resources.inside(path.parent, artefact)
         except InputError as error:

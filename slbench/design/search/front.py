@@ -132,8 +132,9 @@ class Front:
         InputError
             If the file is missing or corrupt, or does not hold a front.
         """
-        arrays = read_npz(path)
-        for name in (*_ARRAYS, "stopped", "evaluations", "history"):
+        names = (*_ARRAYS, "stopped", "evaluations", "history")
+        arrays = read_npz(path, names)
+        for name in names:
             if name not in arrays:
                 raise InputError(path, f"a front, with the array {name!r}", "none of that name")
         try:

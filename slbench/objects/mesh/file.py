@@ -1,19 +1,22 @@
 """A mesh from a file, for objects that no parametric artefact describes.
 
-Any format that trimesh reads (STL, PLY, OBJ, OFF, GLB, ...).  Mesh files do not say what
-their numbers mean, so the unit is a parameter without a default.
+STL, PLY, OBJ, OFF, GLB and glTF, and STEP where cascadio is installed, read by trimesh.  Mesh
+files do not say what their numbers mean, so the unit is a parameter without a default.
 
 Object frame: the file's own axes, scaled to millimetres; with ``centre``, moved so that the
 middle of the bounding box is at x = y = 0 and its bottom at z = 0.
 """
 
+import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import trimesh
 
 from slbench.core.errors import InputError, warn_user
+from slbench.core.io.arrays import check_ply
+from slbench.core.io.bounds import check_size, check_unpacked
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import MinLen
 from slbench.objects.artefact import Artefact, Mesh
@@ -21,6 +24,12 @@ from slbench.objects.registry import ArtefactKind
 
 #: Millimetres in one of each unit.
 MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}
+#: Of files that are read; archives are not, whatever is in them.
+SUFFIXES = (".stl", ".ply", ".obj", ".off", ".glb", ".gltf", ".step", ".stp")
+#: Bytes of a file.
+_LARGEST = 2**31
+#: Of a coordinate, mm: beyond, it is a slip.
+_FARTHEST = 1e6
 
 
 class MeshParameters(Parameters):
@@ -91,18 +100,27 @@ def build_mesh_file(parameters: MeshParameters, name: str, where: str) -> Artefa
 
 
 def _read(path: Path, scale: float) -> Mesh:
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(path, f"a mesh file ({', '.join(SUFFIXES)})", path.suffix or "no suffix")
+    check_size(path, _LARGEST, "a mesh file")
+    if path.suffix.lower() == ".ply":
+        check_ply(path)
     try:
-        loaded = trimesh.load_mesh(path, process=False)
+        loaded = _loaded(path)
         vertices = np.asarray(loaded.vertices, dtype=np.float64)
         faces = np.asarray(loaded.faces, dtype=np.int64)
     # Each of trimesh's dozen readers fails in its own way on a corrupt file.
     except Exception as error:
-        formats = "a mesh file (STL, PLY, OBJ, ...)"
-        raise InputError(path, formats, f"one that cannot be read ({error})") from error
+        if isinstance(error, InputError):
+            raise
+        raise InputError(path, "a mesh file", f"one that cannot be read ({error})") from error
     if len(vertices) == 0 or len(faces) == 0:
         raise InputError(path, "a mesh with faces", "none")
     if not np.isfinite(vertices).all():
         raise InputError(path, "finite coordinates", "NaN or infinity")
+    if (farthest := float(np.abs(vertices).max()) * scale) > _FARTHEST:
+        expected = f"coordinates within {_FARTHEST:g} mm"
+        raise InputError(path, expected, f"{farthest:.6g} mm: another unit?")
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise InputError(path, f"faces of {len(vertices)} vertices", "indices beyond them")
     # STL repeats a vertex in every face.  Equal ones are equal bit for bit, so no tolerance
@@ -117,6 +135,28 @@ def _read(path: Path, scale: float) -> Mesh:
     if not distinct.any():
         raise InputError(path, "a mesh with faces", "only faces without area")
     return Mesh(vertices * scale, faces[distinct])
+
+
+def _loaded(path: Path) -> Any:
+    """Load geometry alone: neither materials nor pictures, which are other files."""
+    kind = path.suffix.lower()[1:]
+    bare = {"skip_materials": True} if kind in ("obj", "glb", "gltf") else {}
+    if kind == "gltf":  # its buffers may be files beside it
+        _check_gltf(path, path.read_bytes())
+        return trimesh.load_mesh(path, process=False, **bare)
+    with path.open("rb") as stream:
+        if kind == "glb":  # magic, version and length, then length and kind of the JSON
+            start = stream.read(20)
+            _check_gltf(path, stream.read(int.from_bytes(start[12:16], "little")))
+            stream.seek(0)
+        return trimesh.load_mesh(stream, file_type=kind, process=False, **bare)
+
+
+def _check_gltf(path: Path, content: bytes) -> None:
+    """Refuse what promises more numbers than the file can hold; the reader makes room first."""
+    counts = [int(accessor["count"]) for accessor in json.loads(content).get("accessors", [])]
+    matrix = 16 * 4  # the largest item, of numbers of four bytes
+    check_unpacked(path, matrix * sum(map(abs, counts)), path.stat().st_size)
 
 
 #: The row of :mod:`slbench.objects.registry`.
