@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.cloud.rays import closest, meet_curves
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, length
 from slbench.core.show.drawing import figure
@@ -27,9 +28,6 @@ Axis = Literal["u", "v"]
 
 #: Points handled together: bounds the temporaries of a pass to some 200 MB.
 _POINTS_PER_PASS = 1 << 18
-#: A point is found when its panel coordinate is met to this; far below any noise.
-_TOLERANCE_PX = 1e-9
-_MAX_ITERATIONS = 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,34 +183,11 @@ def intersect_axis(
         distance, slope = _meet_plane(projector, origin, direction, x, k)
         slope = slope / per_unit
         if any(projector.distortion) or any(projector.tilt_rad):
-            distance, slope = _meet_curve(projector, origins, directions, panel, k, distance)
+            target = np.ascontiguousarray(panel)
+            meet_curves(projector.optics, origins, directions, target, k, distance, slope)
         ahead = (distance > 0) & (origin[:, 2] + distance * direction[:, 2] > 0)
         distance = np.where(ahead, distance, np.nan)
     return origins + distance[:, None] * directions, directions * slope[:, None]
-
-
-def _meet_curve(
-    projector: Device, origins: Array, directions: Array, panel: Array, k: int, distance: Array
-) -> tuple[Array, Array]:
-    """Refine distances along rays until the panel coordinate is met; Newton's method.
-
-    Returns the distances, NaN where none is found, and their derivative by the coordinate.
-    """
-    for _ in range(_MAX_ITERATIONS):
-        points = origins + distance[:, None] * directions
-        pixels, jacobian = projector.project_with_jacobian(points)
-        missing = panel - pixels[:, k]
-        slope = 1.0 / np.sum(jacobian[:, k] * directions, axis=-1)
-        if not np.any(np.abs(missing) > _TOLERANCE_PX):
-            break
-        distance = distance + missing * slope
-    # Beyond a fold of the distortion the image turns back: the pixel is met, but the lens
-    # sends its light elsewhere.
-    source, ray = projector.unproject(pixels)
-    toward = points - source
-    beside = np.linalg.norm(toward - ray * np.sum(toward * ray, axis=-1, keepdims=True), axis=-1)
-    seen = (np.abs(missing) < 1e-6) & (beside < 1e-6 * np.linalg.norm(toward, axis=-1))
-    return np.where(seen, distance, np.nan), slope
 
 
 def _meet_plane(
@@ -251,27 +226,9 @@ def nearest_points(
     points : (N, 3) float
         NaN where the rays are parallel or come nearest behind a device.
     sensitivity : (N, 2, 3) float
-        Derivative of the point by u and v, mm/px (central differences over 0.02 px: the
-        rays curve so little over a panel pixel that the error is below 1e-6).
+        Derivative of the point by u and v, mm/px.
     """
-
-    def middle(coordinates: Array) -> Array:
-        p_origin, p_direction = projector.unproject(coordinates)
-        between = p_origin - origins
-        cosine = np.sum(directions * p_direction, axis=-1)
-        denominator = 1.0 - cosine**2
-        along = np.sum(between * directions, axis=-1)
-        p_along = np.sum(between * p_direction, axis=-1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            t = (along - cosine * p_along) / denominator
-            s = (cosine * along - p_along) / denominator
-        t[~((t > 0) & (s > 0))] = np.nan
-        return 0.5 * (origins + t[:, None] * directions + p_origin + s[:, None] * p_direction)
-
-    step = 0.01
-    sensitivity = np.empty((len(panel), 2, 3))
-    for k in range(2):
-        shift = np.zeros(2)
-        shift[k] = step
-        sensitivity[:, k] = (middle(panel + shift) - middle(panel - shift)) / (2.0 * step)
-    return middle(panel), sensitivity
+    points, sensitivity = np.empty((len(panel), 3)), np.empty((len(panel), 2, 3))
+    target = np.ascontiguousarray(panel)
+    closest(projector.optics, origins, directions, target, points, sensitivity)
+    return points, sensitivity

@@ -21,7 +21,7 @@ focusing does not change it.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +39,9 @@ from slbench.rig.distortion import (
 )
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners
+
+if TYPE_CHECKING:
+    from slbench.rig.kernels import Optics
 
 Array = NDArray[np.float64]
 
@@ -136,6 +139,26 @@ class Device(Value):
         return replace(self, pose=pose)
 
     # -- geometry ----------------------------------------------------------------------
+
+    @property
+    def optics(self) -> Optics:
+        """What compiled loops are told of the device (:mod:`slbench.rig.kernels`)."""
+        from slbench.rig.kernels import Optics
+
+        tilt = self.tilt_homography
+        return Optics(
+            centre=np.array(self.centre),
+            per_unit=self.lens.focal_length_mm / np.array(self.pitch_mm),
+            distortion=np.array(self.distortion),
+            tilt=tilt,
+            untilt=np.linalg.inv(tilt).astype(np.float64),
+            distorted=any(self.distortion),
+            tilted=any(self.tilt_rad),
+            telecentric=self.lens.kind == "telecentric",
+            focus=float(self.lens.focus_distance_mm),
+            rotation=np.ascontiguousarray(self.pose.rotation),
+            position=np.ascontiguousarray(self.pose.position),
+        )
 
     def project(self, points: ArrayLike) -> Array:
         """Project world points to pixels.

@@ -18,12 +18,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Newton steps before an inverse is given up.  Convergence is quadratic: lenses that can be
-#: inverted at all need fewer than ten.
-_MAX_ITERATIONS = 30
-#: Normalised units; 1e-13 is about 1e-9 px for the longest lenses in use here.
-_TOLERANCE = 1e-13
-
 
 def distort(xy: Array, coefficients: Array) -> tuple[Array, Array]:
     """Apply Brown-Conrady distortion.
@@ -79,24 +73,12 @@ def undistort(xy: Array, coefficients: Array) -> Array:
     target = np.asarray(xy, dtype=np.float64)
     if not np.any(coefficients):
         return target.copy()
-    estimate = target.copy()
-    residual = np.full(target.shape[:-1], np.inf)
-    for _ in range(_MAX_ITERATIONS):
-        value, jacobian = distort(estimate, coefficients)
-        error = value - target
-        residual = np.max(np.abs(error), axis=-1)
-        if not np.any(residual > _TOLERANCE):
-            break
-        a, b = jacobian[..., 0, 0], jacobian[..., 0, 1]
-        c, d = jacobian[..., 1, 0], jacobian[..., 1, 1]
-        # A folded model has a vanishing or negative determinant; keep the step finite there
-        # and let the residual condemn the point at the end.
-        determinant = np.maximum(a * d - b * c, 1e-3)
-        estimate[..., 0] -= (d * error[..., 0] - b * error[..., 1]) / determinant
-        estimate[..., 1] -= (a * error[..., 1] - c * error[..., 0]) / determinant
-        np.clip(estimate, -1e3, 1e3, out=estimate)
-    estimate[residual > 1e-9] = np.nan
-    return estimate
+    from slbench.rig.kernels import undistort_all
+
+    result = np.empty(target.shape)
+    rows = np.ascontiguousarray(target).reshape(-1, 2)
+    undistort_all(rows, np.asarray(coefficients, dtype=np.float64), result.reshape(-1, 2))
+    return result
 
 
 def tilt_rotation(tau_x: float, tau_y: float) -> Array:

@@ -108,6 +108,38 @@ def test_sensitivity_is_the_derivative(rig, axes, seed):
         np.testing.assert_allclose(cloud.sensitivity[:, k], numerical, rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.parametrize("axes", ["u", "v", "uv"])
+@pytest.mark.parametrize("tilted", [False, True])
+def test_distortion_costs_no_digits(axes, tilted):
+    """Newton's last step squares what is left: rounding alone, as without distortion."""
+    rig = make_rig(distorted=True, tilted=tilted)
+    points = exact_points(rig, 11)
+    cloud = triangulate(rig, phase_map(rig, points, axes))
+    # 2^-53 of 700 mm is 8e-14 mm; some ten operations on it, and angles that double it.
+    np.testing.assert_allclose(cloud.image(cloud.points), points, rtol=0, atol=1e-11)
+
+
+@given(ALL_RIGS, st.integers(0, 2**32 - 1))
+def test_sensitivity_of_rays_that_miss_each_other(rig, seed):
+    """Where rays meet, their distance does not enter; noisy coordinates make it do so."""
+    rng = np.random.default_rng(seed)
+    origins, directions = rig.camera.unproject(rng.uniform((0, 0), (23, 17), (50, 2)))
+    panel = rig.projector.project(origins + 537.0 * directions) + rng.normal(0, 2, (50, 2))
+    _, sensitivity = nearest_points(rig.projector, origins, directions, panel)
+    step = 1e-3
+    for k in range(2):
+        shift = step * np.eye(2)[k]
+        up, down = (
+            nearest_points(rig.projector, origins, directions, panel + by)[0]
+            for by in (shift, -shift)
+        )
+        # Points good to 1e-11 mm over 2e-3 px: 1e-8 mm/px; curvature over a thousandth of a
+        # pixel is far below.
+        np.testing.assert_allclose(
+            sensitivity[:, k], (up - down) / (2 * step), rtol=1e-7, atol=1e-7
+        )
+
+
 def test_one_axis_moves_a_point_along_its_camera_ray():
     rig = make_rig(distorted=True)
     cloud = triangulate(rig, phase_map(rig, exact_points(rig, 0), "u"))
