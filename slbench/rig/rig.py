@@ -46,8 +46,12 @@ def rotation_yx(alpha: ArrayLike, beta: ArrayLike) -> Array:
     """
     a, b = np.broadcast_arrays(np.asarray(alpha, np.float64), np.asarray(beta, np.float64))
     ca, sa, cb, sb = np.cos(a), np.sin(a), np.cos(b), np.sin(b)
-    rows = [[ca, sa * sb, sa * cb], [np.zeros_like(ca), cb, -sb], [-sa, ca * sb, ca * cb]]
-    return np.ascontiguousarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))
+    out = np.empty((*ca.shape, 3, 3))
+    rows = ((ca, sa * sb, sa * cb), (0.0, cb, -sb), (-sa, ca * sb, ca * cb))
+    for i, row in enumerate(rows):
+        for j, value in enumerate(row):
+            out[..., i, j] = value
+    return out
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,9 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.core.random import generator
 from slbench.core.show.display import brief
-from slbench.design.rig.convex import separation
 from slbench.design.rig.hardware import VARIABLES, Hardware, Placement
-from slbench.rig import Camera, DesignVariables, Device
+from slbench.design.rig.kernels import margins as kernel
+from slbench.rig import DesignVariables, Device
 from slbench.rig.distortion import tilt_rotation
 
 Array = NDArray[np.float64]
@@ -59,7 +59,8 @@ PARTS = (
     ("g5", "the projector's body is in the camera's frustum"),
     ("g6", "the bodies of camera and projector overlap"),
 )
-_COLUMN = np.array([CONSTRAINTS.index(name) for name, _ in PARTS])
+#: The first part of each constraint.
+_FIRST = [[name for name, _ in PARTS].index(name) for name in CONSTRAINTS]
 
 #: Rounds of :func:`diagnose`'s refinement, and by how much each one narrows the search.
 _ROUNDS, _NARROWER = 40, 0.8
@@ -91,9 +92,7 @@ def margins(hardware: Hardware, configurations: ArrayLike | Sequence[DesignVaria
 
 def placed_margins(hardware: Hardware, placement: Placement) -> Array:
     """As :func:`margins`, of devices already placed."""
-    parts = _parts(hardware, placement)
-    columns = [parts[:, column == _COLUMN].min(axis=1) for column in range(len(CONSTRAINTS))]
-    return np.stack(columns, axis=1)
+    return Constraints(hardware).margins(placement)
 
 
 def explain(hardware: Hardware, configuration: ArrayLike | DesignVariables) -> list[str]:
@@ -105,7 +104,8 @@ def explain(hardware: Hardware, configuration: ArrayLike | DesignVariables) -> l
         One for each part of a constraint that is violated, with the amount, worst first;
         empty where the configuration is feasible.
     """
-    parts = _parts(hardware, hardware.place([*np.atleast_2d(_row(configuration))]))[0]
+    placement = hardware.place([*np.atleast_2d(_row(configuration))])
+    parts = Constraints(hardware).parts(placement)[0]
     if np.isneginf(parts[0]):
         return ["g1: the projector's axis does not meet the reference plane"]
     order = np.argsort(parts)
@@ -133,11 +133,13 @@ def focus_slacks(
         depth of field (infinite for a pinhole).
     """
     placement = hardware.place(configurations)
-    world = np.asarray(points, dtype=np.float64)
-    parts: list[Array] = []
-    for device, rotation, position, distance in _devices(hardware, placement):
-        parts += _slacks(hardware, device, distance, _local(world, rotation, position))
-    return np.concatenate(parts, axis=2)
+    world = np.ascontiguousarray(points, dtype=np.float64)
+    out = np.empty((2, len(placement.valid), len(world), 6))
+    for device, rotation, position, distance, into in zip(
+        _constants(hardware), *_placed(placement), out, strict=True
+    ):
+        kernel.slacks(device, rotation, position, distance, world, into)
+    return np.concatenate(tuple(out), axis=2)
 
 
 @dataclass(frozen=True)
@@ -261,41 +263,89 @@ def _row(configuration: ArrayLike | DesignVariables) -> Array:
     return np.asarray(configuration, dtype=np.float64)
 
 
-def _devices(hardware: Hardware, p: Placement) -> tuple[tuple[Device, Array, Array, Array], ...]:
+class Constraints:
+    """The constraints of one hardware; what does not depend on the configuration is kept.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    """
+
+    def __init__(self, hardware: Hardware) -> None:
+        self._devices = _constants(hardware)
+        self._ranges = np.array([hardware.camera_distance_mm, hardware.projector_distance_mm])
+        self._corners = hardware.volume_corners
+
+    def parts(self, placement: Placement, *, exact: bool = True) -> Array:
+        """Return the margins of all parts of the constraints, (n, 13), in the order of PARTS.
+
+        Unless `exact`, those of g4..g6 may be less than they are where they are positive.
+        """
+        out = np.empty((len(placement.valid), len(PARTS)))
+        kernel.parts(
+            self._ranges,
+            self._devices,
+            *_placed(placement),
+            placement.valid,
+            self._corners,
+            exact,
+            out,
+        )
+        return out
+
+    def margins(self, placement: Placement, *, exact: bool = True) -> Array:
+        """Return the margins of the constraints, (n, 6); see :func:`margins` and `parts`."""
+        return np.minimum.reduceat(self.parts(placement, exact=exact), _FIRST, axis=1)
+
+
+def _placed(p: Placement) -> tuple[tuple[Array, Array], tuple[Array, Array], tuple[Array, Array]]:
+    """Return rotations, positions and distances of camera and projector."""
     return (
-        (hardware.camera, p.camera_rotation, p.camera_position, p.camera_distance),
-        (hardware.projector, p.projector_rotation, p.projector_position, p.projector_distance),
+        (p.camera_rotation, p.projector_rotation),
+        (p.camera_position, p.projector_position),
+        (p.camera_distance, p.projector_distance),
     )
 
 
-def _parts(hardware: Hardware, placement: Placement) -> Array:
-    """Margins of all parts of the constraints, (n, 13), in the order of PARTS."""
-    columns: list[Array] = [placement.camera_position[:, 2], placement.projector_position[:, 2]]
-    ranges = (hardware.camera_distance_mm, hardware.projector_distance_mm)
-    devices = _devices(hardware, placement)
-    for (near, far), (_, _, _, distance) in zip(ranges, devices, strict=True):
-        columns += [distance - near, far - distance]
-    bodies, frusta = [], []
-    for device, rotation, position, distance in devices:
-        local = _local(hardware.volume_corners, rotation, position)
-        columns += [s.min(axis=(1, 2)) for s in _slacks(hardware, device, distance, local)]
-        assert device.body_mm is not None  # by Hardware
-        x, y, depth = device.body_mm
-        face = 0.5 * np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
-        body = np.concatenate((np.c_[face, np.full(4, -depth)], np.c_[face, np.zeros(4)]))
-        bodies.append(body @ rotation.transpose(0, 2, 1) + position[:, np.newaxis])
-        frustum = _frustum(device, local[..., 2].max(axis=1))
-        frusta.append(frustum @ rotation.transpose(0, 2, 1) + position[:, np.newaxis])
-    columns += [separation(bodies[0], frusta[1]), separation(bodies[1], frusta[0])]
-    columns.append(separation(*bodies))
-    parts = np.stack(columns, axis=1)
-    parts[~placement.valid] = -np.inf
-    return parts
+def _constants(hardware: Hardware) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Return camera and projector as the kernels take them."""
+    camera, projector = (
+        _constant(device, hardware.circle_px, moves)
+        for device, moves in zip(
+            (hardware.camera, hardware.projector), hardware.refocused, strict=True
+        )
+    )
+    return camera, projector
 
 
-def _local(points: Array, rotation: Array, position: Array) -> Array:
-    """World points (m, 3) in the frames of n devices, (n, m, 3)."""
-    return (points - position[:, np.newaxis]) @ rotation
+def _constant(device: Device, circle_px: float, moves: bool) -> tuple[Array, ...]:
+    lens = device.lens
+    telecentric = lens.kind == "telecentric"
+    numbers = np.array(
+        [
+            lens.focal_length_mm,
+            lens.aperture_radius_mm,
+            lens.focus_distance_mm,
+            circle_px * device.pitch_mm[0],
+            moves,
+            telecentric,
+        ],
+        dtype=np.float64,
+    )
+    field = _field(device)
+    if telecentric:
+        edges = np.roll(field, -1, axis=0) - field
+        sides = np.c_[-edges[:, 1], edges[:, 0], np.zeros(4)]
+        offsets = -np.sum(sides[:, :2] * field, axis=1)
+    else:
+        rays = np.c_[field, np.ones(4)]
+        sides, offsets = np.cross(rays, np.roll(rays, -1, axis=0)), np.zeros(4)
+    planes = np.c_[sides, offsets] / np.linalg.norm(sides, axis=1)[:, np.newaxis]
+    assert device.body_mm is not None  # by Hardware
+    x, y, depth = device.body_mm
+    face = 0.5 * np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+    body = np.concatenate((np.c_[face, np.full(4, -depth)], np.c_[face, np.zeros(4)]))
+    return numbers, tilt_rotation(*device.tilt_rad)[2], planes, field, body
 
 
 def _field(device: Device) -> Array:
@@ -307,63 +357,3 @@ def _field(device: Device) -> Array:
     corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
     scale = device.lens.focus_distance_mm if device.lens.kind == "telecentric" else 1.0
     return device.normalise(corners) * scale
-
-
-def _frustum(device: Device, far: Array) -> Array:
-    """Return viewing frusta from the lens to depths (n,), device frame, (n, 8, 3)."""
-    field = _field(device)
-    out = np.zeros((len(far), 8, 3))
-    if device.lens.kind == "telecentric":
-        out[:, :4, :2] = out[:, 4:, :2] = field
-    else:
-        out[:, 4:, :2] = field * far[:, np.newaxis, np.newaxis]
-    out[:, 4:, 2] = far[:, np.newaxis]
-    return out
-
-
-def _slacks(hardware: Hardware, device: Device, distance: Array, local: Array) -> list[Array]:
-    """Signed distances of points (n, m, 3) to the planes around the in-focus volume.
-
-    Returns
-    -------
-    list of two (n, m, k) float
-        To the four sides of the field of view, and to the two limits of the depth of field;
-        positive inside.
-    """
-    field = _field(device)
-    if device.lens.kind == "telecentric":
-        edges = np.roll(field, -1, axis=0) - field
-        sides = np.c_[-edges[:, 1], edges[:, 0], np.zeros(4)]
-        offsets = np.sum(sides[:, :2] * field, axis=1)
-    else:
-        rays = np.c_[field, np.ones(4)]
-        sides, offsets = np.cross(rays, np.roll(rays, -1, axis=0)), np.zeros(4)
-    lengths = np.linalg.norm(sides, axis=1)
-    view = (local @ sides.T - offsets) / lengths
-    # Principal distance, aperture and focus of every configuration's lens.
-    lens = device.lens
-    moves = hardware.refocused[0 if isinstance(device, Camera) else 1]
-    focus = distance if moves else np.full_like(distance, lens.focus_distance_mm)
-    scale = focus / lens.focus_distance_mm if moves and lens.kind == "telecentric" else 1.0
-    principal = lens.focal_length_mm * scale * np.ones_like(focus)
-    tilt = tilt_rotation(*device.tilt_rad)[2]
-    normal = np.stack(
-        (-tilt[0] / (principal * tilt[2]), -tilt[1] / (principal * tilt[2]), 1.0 / focus), axis=1
-    )
-    if lens.aperture_radius_mm == 0:
-        front = local[..., 2]  # a pinhole sees all that is in front of it sharply
-        return [view, np.stack((front, np.full_like(front, np.inf)), axis=-1)]
-    limit = hardware.circle_px * device.pitch_mm[0]
-    rho = limit / (2.0 * lens.aperture_radius_mm * scale * principal)
-    offset = np.einsum("nmi,ni->nm", local, normal) - 1.0
-    if lens.kind == "telecentric":
-        reach = (rho * focus)[:, np.newaxis]
-        length = np.linalg.norm(normal, axis=1)[:, np.newaxis]
-        return [view, np.stack(((offset + reach) / length, (reach - offset) / length), axis=-1)]
-    reach = rho[:, np.newaxis] * local[..., 2]
-    slacks = []
-    for sign in (1.0, -1.0):
-        # |n . X - 1| <= rho Z is two half-spaces, with normals n + rho e_z and n - rho e_z.
-        length = np.linalg.norm(normal + sign * np.array([0, 0, 1]) * rho[:, np.newaxis], axis=1)
-        slacks.append((sign * offset + reach) / np.maximum(length, 1e-300)[:, np.newaxis])
-    return [view, np.stack(slacks, axis=-1)]

@@ -62,11 +62,16 @@ def separation(first: ArrayLike, second: ArrayLike) -> Array:
 @njit(parallel=True, cache=True, nogil=True)
 def _separations(a, b, out):  # type: ignore[no-untyped-def]
     for i in prange(len(out)):
-        if np.isnan(a[i]).any() or np.isnan(b[i]).any():
-            out[i] = np.nan
-        else:
-            gap = _widest_gap(a[i], b[i])
-            out[i] = gap if gap <= 0 else _distance(a[i], b[i])
+        out[i] = signed_distance(a[i], b[i], np.inf)
+
+
+@njit(cache=True, nogil=True)
+def signed_distance(a, b, enough):  # type: ignore[no-untyped-def]
+    """As :func:`separation`, of one pair of (8, 3); or a gap between them that is `enough`."""
+    if np.isnan(a).any() or np.isnan(b).any():
+        return np.nan
+    gap = _widest_gap(a, b)
+    return gap if gap <= 0 or gap > enough else _distance(a, b)
 
 
 @njit(cache=True, nogil=True)
@@ -224,7 +229,7 @@ def coverage(points: ArrayLike, width: int, height: int) -> Array:
         raise InputError("points on the panel", "an array (n, m, 2), m > 2", corners.shape)
     share = np.full(len(corners), np.nan)
     seen = np.isfinite(corners).all(axis=(1, 2))
-    hulls = shapely.convex_hull(shapely.multipoints(corners[seen]))
+    hulls = shapely.convex_hull(shapely.linestrings(corners[seen]))
     panel = shapely.clip_by_rect(hulls, -0.5, -0.5, width - 0.5, height - 0.5)
     share[seen] = shapely.area(panel) / (width * height)
     return share

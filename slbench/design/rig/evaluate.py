@@ -22,7 +22,7 @@ of thesis table 5's, which must have used pixel edges somewhere, at the same ran
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,11 +30,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
-from slbench.design.rig.constraints import CONSTRAINTS, placed_margins
+from slbench.design.rig.constraints import CONSTRAINTS, Constraints
 from slbench.design.rig.convex import coverage
-from slbench.design.rig.hardware import Hardware
+from slbench.design.rig.hardware import Hardware, Placement
 from slbench.design.rig.kernels.maps import Maps
-from slbench.rig import DesignVariables, Pose
+from slbench.rig import DesignVariables
 
 Array = NDArray[np.float64]
 
@@ -93,11 +93,7 @@ class Evaluation:
 
         Infinite in all three where there are fewer than two points: nothing was measured.
         """
-        values = np.stack(
-            (self.mu_mm * self.sigma_mm, -self.eta * self.n_points, -self.dispersion_mm), axis=1
-        )
-        values[~np.all(np.isfinite(values), axis=1)] = np.inf
-        return values
+        return _objectives(self.mu_mm, self.sigma_mm, self.n_points, self.dispersion_mm, self.eta)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return one dictionary of plain numbers a configuration, for JSON and tables."""
@@ -149,30 +145,65 @@ def evaluate(
     InputError
         If configurations, stride or planes cannot be used.
     """
-    placement = hardware.place(configurations)
-    half = 0.5 * np.array(hardware.volume_mm)
-    planes = _checked_planes(planes_mm, half[2])
-    whole = np.asarray(stride)
-    if whole.shape != (2,) or whole.dtype.kind not in "iu" or whole.min() < 1:
-        raise InputError("stride", "two whole numbers, at least 1", stride)
-    strides = (int(whole[0]), int(whole[1]))
-    metrics = Maps(hardware, placement, planes, strides).metrics()
-    flat = replace(hardware.projector, pose=Pose())
-    corners = flat.project(
-        (hardware.volume_corners - placement.projector_position[:, np.newaxis])
-        @ placement.projector_rotation
+    return Evaluator(hardware, stride=stride, planes_mm=planes_mm).evaluate(
+        hardware.place(configurations)
     )
-    return Evaluation(
-        mu_mm=metrics[:, 0],
-        sigma_mm=metrics[:, 1],
-        eta=coverage(corners, flat.width, flat.height),
-        n_points=metrics[:, 2].astype(np.int64),
-        dispersion_mm=metrics[:, 3],
-        margins=placed_margins(hardware, placement),
-        camera_distance_mm=placement.camera_distance,
-        projector_distance_mm=placement.projector_distance,
-        angle_deg=np.rad2deg(placement.angle),
-    )
+
+
+class Evaluator:
+    """Evaluates configurations of one hardware, whose own part of the work is done once.
+
+    Parameters and errors are those of :func:`evaluate`.
+    """
+
+    def __init__(
+        self,
+        hardware: Hardware,
+        *,
+        stride: tuple[int, int] = THESIS_STRIDE,
+        planes_mm: ArrayLike | None = None,
+    ) -> None:
+        planes = _checked_planes(planes_mm, 0.5 * hardware.volume_mm[2])
+        whole = np.asarray(stride)
+        if whole.shape != (2,) or whole.dtype.kind not in "iu" or whole.min() < 1:
+            raise InputError("stride", "two whole numbers, at least 1", stride)
+        self._maps = Maps(hardware, planes, (int(whole[0]), int(whole[1])))
+        self._size = (hardware.projector.width, hardware.projector.height)
+        self._constraints = Constraints(hardware)
+
+    def objectives(self, placement: Placement) -> Array:
+        """Return :attr:`Evaluation.objectives` alone, without the margins, (n, 3)."""
+        metrics, eta = self._measured(placement)
+        mu, sigma, count, dispersion = metrics.T
+        return _objectives(mu, sigma, count, dispersion, eta)
+
+    def evaluate(self, placement: Placement) -> Evaluation:
+        """Return metrics and constraints of devices placed."""
+        metrics, eta = self._measured(placement)
+        return Evaluation(
+            mu_mm=metrics[:, 0],
+            sigma_mm=metrics[:, 1],
+            eta=eta,
+            n_points=metrics[:, 2].astype(np.int64),
+            dispersion_mm=metrics[:, 3],
+            margins=self._constraints.margins(placement),
+            camera_distance_mm=placement.camera_distance,
+            projector_distance_mm=placement.projector_distance,
+            angle_deg=np.rad2deg(placement.angle),
+        )
+
+    def _measured(self, placement: Placement) -> tuple[Array, Array]:
+        metrics = self._maps.metrics(placement)
+        return metrics, coverage(self._maps.silhouette(placement), *self._size)
+
+
+def _objectives(
+    mu: Array, sigma: Array, count: NDArray[Any], dispersion: Array, eta: Array
+) -> Array:
+    """Return (mu sigma, -eta N_s, -d), (n, 3); infinite where something is not known."""
+    values = np.stack((mu * sigma, -eta * count, -dispersion), axis=1)
+    values[~np.all(np.isfinite(values), axis=1)] = np.inf
+    return values
 
 
 def _checked_planes(planes_mm: ArrayLike | None, half_depth: float) -> Array:

@@ -11,7 +11,7 @@ Files: the ``[camera]``, ``[projector]`` and ``[rig]`` tables of a scene, and ``
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -83,6 +83,10 @@ class Placement:
     valid: NDArray[np.bool_]
 
     __repr__ = brief
+
+    def of(self, rows: Sequence[int]) -> Placement:
+        """Return the placement of some of the configurations."""
+        return Placement(*(getattr(self, each.name)[rows] for each in fields(self)))
 
 
 @dataclass(frozen=True)

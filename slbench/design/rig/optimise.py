@@ -34,13 +34,14 @@ from scipy.stats import rankdata
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
-from slbench.design.rig.constraints import CONSTRAINTS, diagnose, placed_margins
-from slbench.design.rig.evaluate import Evaluation, evaluate
+from slbench.design.rig.constraints import CONSTRAINTS, Constraints, diagnose
+from slbench.design.rig.evaluate import Evaluation, Evaluator
 from slbench.design.rig.hardware import VARIABLES, Hardware, Placement
 from slbench.design.rig.volume import largest_box
 from slbench.design.search import multisearch
 from slbench.design.search.clustering import Clusters, cluster_front
 from slbench.design.search.front import Front
+from slbench.design.search.positions import row_keys
 from slbench.rig import Pose
 
 Array = NDArray[np.float64]
@@ -148,14 +149,16 @@ def optimise(
     columns = [OBJECTIVES.index(name) for name in names]
     binding = [k for k, name in enumerate(CONSTRAINTS) if not (micro and name == "g3")]
 
+    evaluator, constraints, place = Evaluator(hardware), Constraints(hardware), _Placing(hardware)
+
     def values(x: Array) -> Array:
         if micro:
             return -np.cbrt(np.prod(largest_box(hardware, x), axis=1))[:, None]
-        return evaluate(hardware, x).objectives[:, columns]
+        return evaluator.objectives(place(x))[:, columns]
 
-    def spare(x: Array) -> Array:
-        placement = hardware.place(x)
-        parts = [placed_margins(hardware, placement)[:, binding]]
+    def spare(x: Array, *, exact: bool = True) -> Array:
+        placement = place(x)
+        parts = [constraints.margins(placement, exact=exact)[:, binding]]
         if min_angle_deg is not None:
             parts.append(np.rad2deg(placement.angle)[:, None] - min_angle_deg)
         if max_footprint_mm is not None:
@@ -163,7 +166,7 @@ def optimise(
         return np.concatenate(parts, axis=1)
 
     def feasible(x: Array) -> NDArray[np.bool_]:
-        return np.all(spare(x) > 0, axis=1)
+        return np.all(spare(x, exact=False) > 0, axis=1)
 
     begin = time.perf_counter()
     if micro and start is None:
@@ -197,11 +200,30 @@ def optimise(
         hardware,
         ("volume",) if micro else names,
         front,
-        evaluate(hardware, front.x),
+        evaluator.evaluate(hardware.place(front.x)),
         clusters,
         _nearest_to_ideal(front.f, clusters),
         seconds,
     )
+
+
+class _Placing:
+    """Places configurations; those placed last, or some of them, are not placed again.
+
+    A search asks for the objectives of configurations whose constraints it has just asked for.
+    """
+
+    def __init__(self, hardware: Hardware) -> None:
+        self._place = hardware.place
+        self._rows: dict[bytes, int] = {}
+        self._last: Placement | None = None
+
+    def __call__(self, x: Array) -> Placement:
+        keys = row_keys(x)
+        if self._last is None or not all(key in self._rows for key in keys):
+            self._last = self._place(x)
+            self._rows = {key: row for row, key in enumerate(keys)}
+        return self._last.of([self._rows[key] for key in keys])
 
 
 def _large_volume(

@@ -15,8 +15,7 @@ from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.design.rig.constraints import (
     PARTS,
-    _frustum,
-    _local,
+    _constants,
     diagnose,
     explain,
     feasible_sample,
@@ -25,6 +24,7 @@ from slbench.design.rig.constraints import (
 from slbench.design.rig.convex import coverage, separation
 from slbench.design.rig.evaluate import evaluate
 from slbench.design.rig.hardware import load_hardware, read_configurations
+from slbench.design.rig.kernels.margins import frustum
 from slbench.rig import Lens
 
 MACRO = load_hardware("hardware/macro-ch6")
@@ -278,13 +278,14 @@ def test_obstructions_against_dense_samples():
 
 def test_frusta_start_at_the_lens_and_end_behind_the_volume():
     place = MACRO.place(TABLE_4[4])
-    local = _local(MACRO.volume_corners, place.projector_rotation, place.projector_position)
-    frustum = _frustum(MACRO.projector, local[..., 2].max(axis=1))[0]
-    assert np.all(frustum[:4] == 0)
+    rotation, position = place.projector_rotation[0], place.projector_position[0]
+    far = ((MACRO.volume_corners - position) @ rotation)[:, 2].max()
+    world = np.empty((8, 3))
+    frustum(_constants(MACRO)[1], far, rotation, position, world)
+    np.testing.assert_array_equal(world[:4], np.tile(position, (4, 1)))
     rig = MACRO.rig(TABLE_4[4])
-    world = rig.projector.pose.to_world(frustum[4:])
     expected = [[-0.5, -0.5], [639.5, -0.5], [639.5, 479.5], [-0.5, 479.5]]
-    np.testing.assert_allclose(rig.projector.project(world), expected, atol=1e-9)
+    np.testing.assert_allclose(rig.projector.project(world[4:]), expected, atol=1e-9)
 
 
 def test_no_rig_at_all_has_no_margin():

@@ -1,7 +1,8 @@
 """From placed devices to the matrices that the evaluator's kernels work with.
 
 Everything here is done for all configurations at once, as stacks of small matrices; the
-kernels then see pixels only.
+kernels then see pixels only.  What the hardware alone determines is computed once: a search
+evaluates thousands of batches of a dozen configurations.
 """
 
 from __future__ import annotations
@@ -25,89 +26,95 @@ _DISTORTED_STEP = 0.9
 
 
 class Maps:
-    """The matrices that the kernels work with, of all configurations at once.
+    """The maps of one hardware at given planes and strides.
 
     A telecentric lens keeps its magnification when it is focused elsewhere, so the principal
     and focus distances of the hardware serve for all configurations.
     """
 
-    def __init__(
-        self, hardware: Hardware, placement: Placement, planes: Array, strides: tuple[int, int]
-    ) -> None:
-        self.hardware, self.placement = hardware, placement
-        self.planes, self.strides = planes, strides
+    def __init__(self, hardware: Hardware, planes: Array, strides: tuple[int, int]) -> None:
+        self.hardware, self.planes, self.strides = hardware, planes, strides
         camera, projector = hardware.camera, hardware.projector
         self.rows = -(-camera.height // strides[1])
         self.columns = -(-camera.width // strides[0])
+        self.distorted = any(camera.distortion) or any(projector.distortion)
         self.telecentric = _telecentric(projector)
-        self.matrix = self._projector_matrix()
-        self.axis = np.zeros_like(placement.camera_position)
-        if _telecentric(camera):
-            self.axis = np.ascontiguousarray(placement.camera_rotation[:, :, 2])
-        self.ground = self._rays_to_plane()
-        self.depth, self.step = self._neighbours()
+        self.flat_camera = replace(camera, pose=Pose())
+        self.flat_projector = replace(projector, pose=Pose())
+        self.corners = hardware.volume_corners
+        self.projector_pixels = _pixels(projector)
+        self.camera_rays = np.linalg.inv(_pixels(camera))
+        self.projector_rays = np.ascontiguousarray(np.linalg.inv(self.projector_pixels))
+        self.half = 0.5 * np.array(hardware.volume_mm)
+        self.size = np.array([projector.width, projector.height], dtype=np.float64)
+        self.step = self._least_step()
+        self.tables = (*self._tables(), *self._lens()) if self.distorted else ()
 
-    def metrics(self) -> Array:
+    def metrics(self, place: Placement) -> Array:
         """Return mu, sigma, the number of points and the dispersion, (n, 4)."""
-        hardware, place = self.hardware, self.placement
         n = len(place.valid)
         out = np.empty((n, 4))
-        half = 0.5 * np.array(hardware.volume_mm)
-        size = np.array([hardware.projector.width, hardware.projector.height], dtype=np.float64)
-        distorted = any(hardware.camera.distortion) or any(hardware.projector.distortion)
-        windows = self._windows(whole=distorted)
+        windows = self._windows(place)
+        matrix = self._projector_matrix(place)
+        axis, depth = self._axis_and_depth(place)
+        ground = self._rays_to_plane(place)
         common = (
             self.planes,
-            half,
-            size,
-            hardware.coded_axes,
+            self.half,
+            self.size,
+            self.hardware.coded_axes,
             *map(
                 np.ascontiguousarray,
                 (
                     place.camera_position,
-                    self.axis,
-                    self.matrix,
+                    axis,
+                    matrix,
                     place.projector_position,
                     place.projector_rotation,
-                    np.linalg.inv(_pixels(hardware.projector)),
                 ),
             ),
+            self.projector_rays,
             self.telecentric,
         )
         first: tuple[Any, ...]
-        if distorted:
+        if self.distorted:
             fill = loops.distorted_rows
-            first = (*self._tables(), *self._lens(), np.ascontiguousarray(self.ground))
+            first = (*self.tables, np.ascontiguousarray(ground))
         else:
             fill = loops.ideal_rows
-            ground = self.ground @ np.linalg.inv(_pixels(hardware.camera))
-            first = (np.array(self.strides), ground, self._panel(ground))
-        if not distorted and self.planes.size * self.rows * self.columns <= _LARGE:
-            loops.ideal_batch(*first, *common, self.depth, self.step, windows, out)
+            ground = ground @ self.camera_rays
+            first = (np.array(self.strides), ground, self._panel(matrix, ground))
+        if not self.distorted and self.planes.size * self.rows * self.columns <= _LARGE:
+            loops.ideal_batch(*first, *common, depth, self.step, windows, out)
             return out
         for c in range(n):
             shape = (self.planes.size, windows[c, 1], windows[c, 3])
             error, xs, ys = np.empty(shape), np.empty(shape), np.empty(shape)
             fill(c, windows, *first, *common, error, xs, ys)
-            loops.spread_rows(self.planes, error, xs, ys, self.depth[c], self.step, out[c])
+            loops.spread_rows(self.planes, error, xs, ys, depth[c], self.step, out[c])
         return out
 
-    def _projector_matrix(self) -> Array:
+    def silhouette(self, place: Placement) -> Array:
+        """Return the volume's corners on the panel, (n, 8, 2) pixels."""
+        return self.flat_projector.project(
+            (self.corners - place.projector_position[:, np.newaxis]) @ place.projector_rotation
+        )
+
+    def _projector_matrix(self, place: Placement) -> Array:
         """World point to panel pixel without distortion, (n, 3, 4) (thesis eq. 9)."""
-        place = self.placement
         inverse = place.projector_rotation.transpose(0, 2, 1)
         world = np.concatenate((inverse, -inverse @ place.projector_position[..., None]), axis=2)
         if self.telecentric:
             world[:, :2] /= self.telecentric
             world[:, 2] = [0.0, 0.0, 0.0, 1.0]
-        return _pixels(self.hardware.projector) @ world
+        return self.projector_pixels @ world
 
-    def _rays_to_plane(self) -> Array:
+    def _rays_to_plane(self, place: Placement) -> Array:
         """Undistorted camera coordinates (x, y, 1) to (X, Y, 1) on each plane, (n, p, 3, 3).
 
         NaN where camera or projector are not in front of the plane.
         """
-        place, focus = self.placement, _telecentric(self.hardware.camera)
+        focus = _telecentric(self.hardware.camera)
         r = place.camera_rotation[:, np.newaxis]
         c = place.camera_position[:, np.newaxis]
         height = c[..., 2] - self.planes
@@ -127,7 +134,7 @@ class Maps:
         out[..., 2, 2] = 1.0
         return out
 
-    def _panel(self, ground: Array) -> Array:
+    def _panel(self, matrix: Array, ground: Array) -> Array:
         """Camera pixel to panel pixel by way of each plane, (n, p, 3, 3)."""
         point = np.stack(
             (
@@ -138,18 +145,15 @@ class Maps:
             ),
             axis=2,
         )
-        return self.matrix[:, np.newaxis] @ point
+        return matrix[:, np.newaxis] @ point
 
-    def _neighbours(self) -> tuple[Array, float]:
-        """Return what bounds the distance of points from below; see the kernels' module.
+    def _least_step(self) -> float:
+        """Return the least distance of neighbouring rays, over that of the steepest ray.
 
-        Returns
-        -------
-        depth : (n, 4) float
-        step : float
+        With the depth of a point it bounds the distance of points from below; see the kernels'
+        module.
         """
-        camera, place = self.hardware.camera, self.placement
-        depth = np.zeros((len(place.valid), 4))
+        camera = self.hardware.camera
         if any(camera.distortion) or any(camera.tilt_rad):
             rays = camera.normalise(_sampled(camera, self.strides))
             step = _DISTORTED_STEP * _least_step(rays)
@@ -159,28 +163,32 @@ class Maps:
             pitches = np.array(camera.pitch_mm) * self.strides
             step = float(pitches.min()) / camera.lens.focal_length_mm
         furthest = float(np.sqrt(1.0 + np.max(np.sum(rays**2, axis=-1))))
-        if _telecentric(camera):
-            depth[:, 3] = _telecentric(camera)
-            return depth, step
+        return step if _telecentric(camera) else step / furthest
+
+    def _axis_and_depth(self, place: Placement) -> tuple[Array, Array]:
+        """Return a telecentric camera's axes, (n, 3), zeros of another, and depths, (n, 4)."""
+        depth = np.zeros((len(place.valid), 4))
         axis = place.camera_rotation[:, :, 2]
+        telecentric = _telecentric(self.hardware.camera)
+        if telecentric:
+            depth[:, 3] = telecentric
+            return axis, depth
         depth[:, :3] = axis
         depth[:, 3] = -np.sum(axis * place.camera_position, axis=1)
-        return depth, step / furthest
+        return np.zeros_like(place.camera_position), depth
 
-    def _windows(self, *, whole: bool) -> NDArray[np.int64]:
+    def _windows(self, place: Placement) -> NDArray[np.int64]:
         """Top, rows, left, columns of the sampled pixels that can see the volume, (n, 4).
 
-        The bounding box of its corners' images; all pixels if `whole` (distortion bends the
-        volume's edges) or where a corner is behind the camera.
+        The bounding box of its corners' images; all pixels where lenses distort (which bends
+        the volume's edges) or a corner is behind the camera.
         """
-        n = len(self.placement.valid)
+        n = len(place.valid)
         sizes = np.array([self.columns, self.rows])
         first, last = np.zeros((n, 2)), np.tile(sizes - 1.0, (n, 1))
-        if not whole:
-            place = self.placement
-            corners = replace(self.hardware.camera, pose=Pose()).project(
-                (self.hardware.volume_corners - place.camera_position[:, np.newaxis])
-                @ place.camera_rotation
+        if not self.distorted:
+            corners = self.flat_camera.project(
+                (self.corners - place.camera_position[:, np.newaxis]) @ place.camera_rotation
             )
             # One pixel more, so that rounding cannot cost a point on the volume's boundary.
             low = np.floor((corners.min(axis=1) - 1.0) / self.strides)

@@ -1,0 +1,146 @@
+"""The inner loops of the constraints: all parts of g1..g6, one configuration after another.
+
+A device is a tuple of what does not depend on the configuration:
+
+* `lens` (6,): focal length, aperture radius, focus distance, the circle of confusion on the
+  panel, all in mm, then 1 where it is refocused on the origin and 1 where it is telecentric;
+* `tilt` (3,): the sensor's normal in the lens's axes;
+* `sides` (4, 4): unit normals of the field of view's sides, pointing inwards, and offsets;
+* `field` (4, 2): the panel's corners in normalised coordinates, mm for a telecentric lens;
+* `body` (8, 3): the housing's corners in the device's frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from slbench.design.rig.convex import signed_distance
+
+#: A gap, mm, that rounding cannot have made.
+_CLEARLY_APART = 1e-6
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def focus_planes(device, distance, planes):  # type: ignore[no-untyped-def]
+    """Write the planes around the in-focus volume: unit normal and offset, (6, 4).
+
+    In the device's frame, for a device at `distance` from the origin: four sides of its view,
+    then two limits of its depth of field; ``normal . X + offset`` is positive inside.
+    """
+    lens, tilt, sides = device[0], device[1], device[2]
+    focal, aperture, focus, limit = lens[0], lens[1], lens[2], lens[3]
+    telecentric = lens[5] > 0.0
+    planes[:4] = sides
+    if aperture == 0.0:  # a pinhole sees all that is in front of it sharply
+        planes[4] = (0.0, 0.0, 1.0, 0.0)
+        planes[5] = (0.0, 0.0, 0.0, np.inf)
+        return
+    scale = distance / focus if lens[4] > 0.0 and telecentric else 1.0
+    focus = distance if lens[4] > 0.0 else focus
+    principal = focal * scale
+    nx, ny, nz = -tilt[0] / (principal * tilt[2]), -tilt[1] / (principal * tilt[2]), 1.0 / focus
+    rho = limit / (2.0 * aperture * scale * principal)
+    for k in range(2):
+        # |n . X - 1| <= rho Z is two half-spaces, with normals n + rho e_z and rho e_z - n;
+        # for a telecentric lens rho times the focus distance stands on the right.
+        sign = 1.0 - 2.0 * k
+        x, y = sign * nx, sign * ny
+        z = sign * nz + (0.0 if telecentric else rho)
+        offset = (rho * focus if telecentric else 0.0) - sign
+        length = max(np.sqrt(x * x + y * y + z * z), 1e-300)
+        planes[4 + k] = (x / length, y / length, z / length, offset / length)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def slacks(device, rotations, positions, distances, points, out):  # type: ignore[no-untyped-def]
+    """Write the distances of points (m, 3) to the planes of n in-focus volumes, (n, m, 6)."""
+    for i in range(out.shape[0]):
+        planes = np.empty((6, 4))
+        focus_planes(device, distances[i], planes)
+        for k in range(points.shape[0]):
+            x, y, z = _local(points[k], rotations[i], positions[i])
+            for j in range(6):
+                out[i, k, j] = _height(planes[j], x, y, z)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def parts(ranges, devices, rotations, positions, distances, valid, corners, exact, out):  # type: ignore[no-untyped-def]
+    """Write the margins of all parts of the constraints, (n, 13), mm.
+
+    `ranges` (2, 2) holds the working distances; `devices`, `rotations`, `positions` and
+    `distances` are pairs, the camera's first; `corners` (8, 3) are the measurement volume's.
+    Unless `exact`, bodies and frusta that are apart count with the gap that separates them,
+    which is less than their distance and found much sooner: the signs are the same.
+    """
+    for i in range(out.shape[0]):
+        if not valid[i]:
+            out[i] = -np.inf
+            continue
+        bodies, frusta = np.empty((2, 8, 3)), np.empty((2, 8, 3))
+        planes = np.empty((6, 4))
+        for d in range(2):
+            device, turn = devices[d], rotations[d][i]
+            place, distance = positions[d][i], distances[d][i]
+            out[i, d] = place[2]
+            out[i, 2 + 2 * d] = distance - ranges[d, 0]
+            out[i, 3 + 2 * d] = ranges[d, 1] - distance
+            focus_planes(device, distance, planes)
+            view = depth = np.inf
+            far = -np.inf
+            for k in range(8):
+                x, y, z = _local(corners[k], turn, place)
+                far = max(far, z)
+                for j in range(4):
+                    view = _least(view, _height(planes[j], x, y, z))
+                for j in range(4, 6):
+                    depth = _least(depth, _height(planes[j], x, y, z))
+            out[i, 6 + 2 * d] = view
+            out[i, 7 + 2 * d] = depth
+            body = device[4]
+            frustum(device, far, turn, place, frusta[d])
+            for k in range(8):
+                _to_world(body[k, 0], body[k, 1], body[k, 2], turn, place, bodies[d, k])
+        enough = np.inf if exact else _CLEARLY_APART
+        out[i, 10] = signed_distance(bodies[0], frusta[1], enough)
+        out[i, 11] = signed_distance(bodies[1], frusta[0], enough)
+        out[i, 12] = signed_distance(bodies[0], bodies[1], enough)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def frustum(device, far, rotation, position, out):  # type: ignore[no-untyped-def]
+    """Write the corners of the viewing frustum from the lens to depth `far`, world, (8, 3)."""
+    field, telecentric = device[3], device[0][5] > 0.0
+    near, wide = (1.0, 1.0) if telecentric else (0.0, far)
+    for k in range(4):
+        x, y = field[k, 0], field[k, 1]
+        _to_world(x * near, y * near, 0.0, rotation, position, out[k])
+        _to_world(x * wide, y * wide, far, rotation, position, out[4 + k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _local(point, rotation, position):  # type: ignore[no-untyped-def]
+    dx, dy, dz = point[0] - position[0], point[1] - position[1], point[2] - position[2]
+    return (
+        rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz,
+        rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz,
+        rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _to_world(x, y, z, rotation, position, out):  # type: ignore[no-untyped-def]
+    for i in range(3):
+        turned = rotation[i, 0] * x + rotation[i, 1] * y + rotation[i, 2] * z
+        out[i] = turned + position[i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _height(plane, x, y, z):  # type: ignore[no-untyped-def]
+    return plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _least(least, value):  # type: ignore[no-untyped-def]
+    """Return the smaller one, NaN once there was one."""
+    return value if value < least or np.isnan(value) else least
