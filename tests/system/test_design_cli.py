@@ -1,6 +1,7 @@
 """``slbench design evaluate``, ``rig`` and ``verify``, from the command line to the files."""
 
 import csv
+import itertools
 import json
 
 import cv2
@@ -10,7 +11,7 @@ from scenes_small import check_refused, run_cli
 
 from slbench.core import resources
 from slbench.design.rig.constraints import feasible_sample, margins
-from slbench.design.rig.evaluate import evaluate
+from slbench.design.rig.evaluate import Evaluator, evaluate
 from slbench.design.rig.hardware import VARIABLES, load_hardware, read_configurations
 from slbench.design.search.front import Front
 from slbench.scene.file import load_scene
@@ -145,6 +146,47 @@ def test_rig_files_and_summary(found):
     assert record["seed"] == 0
     assert record["parameters"]["evaluations"] == summary["evaluations"]
     assert str(out) == summary["out"]
+
+
+def test_equal_searches_are_equal_files(found, tmp_path):
+    out, _ = found
+    again = run_cli("design", "rig", NAME, "--out", tmp_path / "again", "--evaluations", 150)
+    assert again.status == 0, again.err
+    assert "(as many as the budget holds)" in again.out
+    for name in FILES - {"provenance.json"}:
+        assert (tmp_path / "again" / name).read_bytes() == (out / name).read_bytes(), name
+
+
+@pytest.mark.parametrize("batch", [0, 10])
+def test_ctrl_c_keeps_what_was_found_and_says_so(tmp_path, monkeypatch, batch):
+    batches, real = itertools.count(), Evaluator.objectives
+
+    def objectives(self, placement):
+        if next(batches) == batch:
+            raise KeyboardInterrupt
+        return real(self, placement)
+
+    monkeypatch.setattr(Evaluator, "objectives", objectives)
+    out = tmp_path / "rig"
+    outcome = run_cli("design", "rig", NAME, "--out", out, "--evaluations", 9_000_000)
+    if batch == 0:
+        assert (outcome.status, outcome.out, outcome.err) == (130, "", "interrupted\n")
+        assert not out.exists()
+        return
+    assert outcome.status == 0, outcome.err
+    assert "evaluations (interrupted: the front so far)" in outcome.out
+    assert Front.load(out / "front.npz").stopped == "interrupted"
+    monkeypatch.undo()
+    more = run_cli(
+        "design", "rig", NAME, "--out", tmp_path / "on", "--start", out / "front.npz",
+        "--evaluations", 150,
+    )  # fmt: skip
+    assert more.status == 0, more.err
+    whole = run_cli("design", "rig", NAME, "--out", tmp_path / "whole", "--evaluations", 150)
+    assert whole.status == 0, whole.err
+    for name in ("front.npz", "front.csv", "scene.toml"):
+        on, straight = ((tmp_path / folder / name).read_bytes() for folder in ("on", "whole"))
+        assert on == straight, name
 
 
 def test_tables_hold_the_front(found):

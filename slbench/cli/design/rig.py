@@ -88,6 +88,8 @@ def rig(
         "evaluations": design.front.evaluations,
         "max_footprint_mm": max_footprint_mm,
         "min_angle_deg": min_angle_deg,
+        "stopped": design.front.stopped,
+        "seconds": design.seconds,
     }
     write_design(
         design, out, read_merged(path, allow_modules), parameters, seed, pick=pick, marked=marked
@@ -113,11 +115,14 @@ def rig(
         return
     print(
         f"{summary['front']} nondominated rigs in {summary['clusters']} clusters after "
-        f"{summary['evaluations']} evaluations ({summary['stopped']}), {design.seconds:.1f} s"
+        f"{summary['evaluations']} evaluations ({_ENDS[design.front.stopped]}), "
+        f"{design.seconds:.1f} s"
     )
     names = ("z_ref", "w", "h", "l", "alpha_P", "beta_P")
     print("rig: " + ", ".join(f"{n} {v:.5g}" for n, v in zip(names, variables, strict=True)))
     print(f"Written to {out}: scan it with slbench scan {out / 'scene.toml'}")
+    if design.front.stopped == "interrupted":
+        print(f"--start {out / 'front.npz'} goes on from there")
 
 
 def _reporter(report: Any, budget: int) -> Any:
@@ -149,5 +154,11 @@ def _reporter(report: Any, budget: int) -> Any:
     return on_progress
 
 
+#: Why a search ended, in words.
+_ENDS = {
+    "tolerance": "converged",
+    "budget": "as many as the budget holds",
+    "interrupted": "interrupted: the front so far",
+}
 #: Polls between two updates of the progress bar.
 _SHOWN_EVERY = 20

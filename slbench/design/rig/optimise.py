@@ -138,6 +138,8 @@ def optimise(
     InputError
         If nothing feasible is found, with the constraint that fails, by how much, for the
         least infeasible configuration; or an argument is not as above.
+    KeyboardInterrupt
+        If interrupted, by Ctrl-C or `on_progress`, ahead of the first rig of the front.
     """
     names = tuple(objectives)
     unknown = [name for name in names if name not in OBJECTIVES]
@@ -191,8 +193,12 @@ def optimise(
         limits = {"footprint_mm": max_footprint_mm, "angle_deg": min_angle_deg}
         raise _nothing_feasible(hardware, limits) from None
     if not len(front):
+        if front.stopped == "interrupted":
+            raise KeyboardInterrupt
         raise InputError(
-            "evaluations", "enough to find a feasible configuration", f"{max_evaluations}, used up"
+            "evaluations",
+            "enough to find a rig that measures",
+            f"{max_evaluations}: {front.evaluations} made, and the next batch needs more",
         )
     seconds = time.perf_counter() - begin
     clusters = cluster_front(front, seed)

@@ -148,7 +148,7 @@ def _draw_front(design: RigDesign, path: Path, marked: Evaluation | None) -> Non
         axes.legend(fontsize=8)
     figure.suptitle(
         f"{len(design.front)} nondominated rigs in {len(design.clusters)} clusters, "
-        f"{design.front.evaluations} evaluations in {design.seconds:.1f} s"
+        f"{design.front.evaluations} evaluations"
     )
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")

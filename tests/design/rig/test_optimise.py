@@ -1,5 +1,6 @@
 """The rig optimiser: fronts of the shipped hardware, options, warm starts, refusals."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -8,8 +9,8 @@ from scipy.stats import rankdata
 
 from slbench.core import resources
 from slbench.core.errors import InputError
-from slbench.design.rig.constraints import margins
-from slbench.design.rig.evaluate import evaluate
+from slbench.design.rig.constraints import Constraints, feasible_sample, margins
+from slbench.design.rig.evaluate import Evaluator, evaluate
 from slbench.design.rig.hardware import load_hardware, read_configurations
 from slbench.design.rig.optimise import OBJECTIVES, footprint_mm, optimise
 from slbench.design.search.front import Front, hypervolume
@@ -205,6 +206,50 @@ def test_progress_can_end_the_search():
     assert sizes[-1] == len(design.front)
 
 
+def interrupt_at(monkeypatch, batch):
+    """Let Ctrl-C strike while the objectives of a batch are computed."""
+    batches, real = itertools.count(), Evaluator.objectives
+
+    def objectives(self, placement):
+        if next(batches) == batch:
+            raise KeyboardInterrupt
+        return real(self, placement)
+
+    monkeypatch.setattr(Evaluator, "objectives", objectives)
+
+
+def test_an_interruption_keeps_the_front_so_far_and_none_ahead_of_the_first(monkeypatch):
+    interrupt_at(monkeypatch, 0)
+    with pytest.raises(KeyboardInterrupt):
+        optimise(MACRO)
+    interrupt_at(monkeypatch, 10)
+    part = optimise(MACRO)
+    assert part.front.stopped == "interrupted"
+    monkeypatch.undo()
+    # What was found by then is what a search of as many evaluations finds.
+    whole = optimise(MACRO, max_evaluations=part.front.evaluations)
+    np.testing.assert_array_equal(part.front.x, whole.front.x)
+    np.testing.assert_array_equal(part.front.f, whole.front.f)
+
+
+def test_objectives_of_a_search_are_those_of_the_evaluation():
+    """The search's short cuts change no bit: places of the last batch, no margins."""
+    rows = feasible_sample(MACRO, 40, seed=5)
+    evaluator, constraints = Evaluator(MACRO), Constraints(MACRO)
+    whole = evaluate(MACRO, rows)
+    for part in (slice(0, 40), slice(3, 10), slice(7, 8)):
+        place = MACRO.place(rows).of(list(range(40))[part])
+        np.testing.assert_array_equal(evaluator.objectives(place), whole.objectives[part])
+    # Of any configurations, the quick margins are no larger, and of the same signs.
+    rng = np.random.default_rng(2)
+    anywhere = MACRO.lower + rng.random((4000, 6)) * (np.array(MACRO.upper) - MACRO.lower)
+    place = MACRO.place(anywhere)
+    exact, quick = constraints.margins(place), constraints.margins(place, exact=False)
+    np.testing.assert_array_equal(exact > 0, quick > 0)
+    assert (quick <= exact + 1e-9).all()  # rounding of some hundred mm
+    assert (quick < exact).any()
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -230,7 +275,7 @@ def test_limits_that_exclude_everything_are_not_blamed_on_the_hardware():
 
 
 def test_a_budget_too_small_says_so():
-    with pytest.raises(InputError, match=r"evaluations: expected enough .* got 1, used up"):
+    with pytest.raises(InputError, match=r"evaluations: expected enough .* got 1: 0 made, and"):
         optimise(MACRO, max_evaluations=1)
 
 
