@@ -1,19 +1,18 @@
 """Alignment of a focus stack's frames, which a change of focus shifts and magnifies.
 
-G. D. Evangelidis, E. Z. Psarakis, "Parametric image alignment using enhanced correlation
-coefficient maximization", IEEE TPAMI 30(10), 2008, as OpenCV has it: invariant to gain and
-offset, and little moved by blur, which is symmetrical.
+By the correlation of the frames (:mod:`slbench.capture.fusion.correlation`): invariant to gain
+and offset, and little moved by blur, which is symmetrical.
 """
 
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-import cv2
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from slbench.capture.fusion.stack import Stack, frames
+from slbench.capture.fusion.correlation import PARAMETERS, Level, improved, levels
+from slbench.capture.fusion.stack import Stack, each_frame, frames
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 
@@ -21,14 +20,8 @@ FloatArray = NDArray[np.float64]
 Motion = Literal["translation", "affine", "homography"]
 MOTIONS: tuple[str, ...] = get_args(Motion)
 
-_OPENCV = {
-    "translation": cv2.MOTION_TRANSLATION,
-    "affine": cv2.MOTION_AFFINE,
-    "homography": cv2.MOTION_HOMOGRAPHY,
-}
 _SIDE = 1024  # pixels: larger frames are reduced for the search; a million pixels say enough
-_SMOOTHING = 5  # pixels: side of the Gaussian that both frames are smoothed with
-_STEPS, _PRECISION = 200, 1e-7  # of the iteration: most steps, least gain in correlation
+_COARSE_SIDE = 256  # pixels: up to here a frame's search starts from its neighbour's motion
 _LEAST_CORRELATION = 0.3  # of frames that show the same; other frames correlate around 0
 _NODES = 6  # samples a direction that a frame is interpolated through
 _MOST_SHIFT = 0.25  # of the longer side: beyond, the search has run away
@@ -99,59 +92,90 @@ class _Aligned:
         return warped.reshape(frame.shape)
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
 def _warp(image: Any, transform: Any, out: Any) -> None:
-    """out[v, u] = image at the place to which `transform` takes (u, v); borders are replicated.
+    """out[v, u] = image at the place to which `transform` takes (u, v); borders are replicated."""
+    for v in prange(image.shape[0]):
+        _warp_row(image, transform, v, out[v])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def warp_band(image: Any, transform: Any, top: int, out: Any) -> None:
+    """As :func:`_warp`, of the rows from `top` on, (rows, U, layers), on one thread."""
+    for row in range(out.shape[0]):
+        _warp_row(image, transform, top + row, out[row])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _warp_row(image: Any, transform: Any, v: int, out: Any) -> None:
+    """Fill one row.
 
     Lagrange interpolation through six samples a direction: exact for polynomials of degree
     five.  OpenCV's bicubic warp moves even a ramp by up to half as much again where shifts are
     small, and rounds them to 1/32 of a pixel.
     """
     height, width, layers = image.shape
-    for v in prange(height):
-        across, down = np.empty(_NODES), np.empty(_NODES)
-        columns, rows = np.empty(_NODES, np.int64), np.empty(_NODES, np.int64)
-        for u in range(width):
-            scale = transform[2, 0] * u + transform[2, 1] * v + transform[2, 2]
-            x = (transform[0, 0] * u + transform[0, 1] * v + transform[0, 2]) / scale
-            y = (transform[1, 0] * u + transform[1, 1] * v + transform[1, 2]) / scale
-            # Beyond the border all samples are its own.
-            _weights(min(max(x, -_NODES), width + _NODES), width, across, columns)
-            _weights(min(max(y, -_NODES), height + _NODES), height, down, rows)
-            for layer in range(layers):
-                total = 0.0
+    for u in range(width):
+        scale = transform[2, 0] * u + transform[2, 1] * v + transform[2, 2]
+        x = (transform[0, 0] * u + transform[0, 1] * v + transform[0, 2]) / scale
+        y = (transform[1, 0] * u + transform[1, 1] * v + transform[1, 2]) / scale
+        # Beyond the border all samples are its own.
+        x = min(max(x, -float(_NODES)), float(width + _NODES))
+        y = min(max(y, -float(_NODES)), float(height + _NODES))
+        column, row = int(np.floor(x)), int(np.floor(y))
+        a = _weights(x - column)
+        b = _weights(y - row)
+        column, row = column - 2, row - 2
+        inside = column >= 0 and row >= 0 and column + 5 < width and row + 5 < height
+        for layer in range(layers):
+            total = 0.0
+            if inside:
                 for j in range(_NODES):
-                    line = 0.0
+                    line = image[row + j]
+                    total += b[j] * (
+                        a[0] * line[column, layer]
+                        + a[1] * line[column + 1, layer]
+                        + a[2] * line[column + 2, layer]
+                        + a[3] * line[column + 3, layer]
+                        + a[4] * line[column + 4, layer]
+                        + a[5] * line[column + 5, layer]
+                    )
+            else:
+                for j in range(_NODES):
+                    line = image[min(max(row + j, 0), height - 1)]
+                    part = 0.0
                     for i in range(_NODES):
-                        line += across[i] * image[rows[j], columns[i], layer]
-                    total += down[j] * line
-                out[v, u, layer] = total
+                        part += a[i] * line[min(max(column + i, 0), width - 1), layer]
+                    total += b[j] * part
+            out[u, layer] = total
 
 
-@njit(cache=True)
-def _weights(place: float, size: int, weights: Any, samples: Any) -> None:
-    """Set the samples around a place, and their weights in Lagrange interpolation."""
-    whole = int(np.floor(place))
-    part = place - whole
-    for i in range(_NODES):
-        weight = 1.0
-        for j in range(_NODES):
-            if j != i:
-                weight *= (part + _NODES // 2 - 1 - j) / (i - j)
-        weights[i] = weight
-        samples[i] = min(max(whole + i + 1 - _NODES // 2, 0), size - 1)
+@njit(cache=True, nogil=True, inline="always")
+def _weights(t: float) -> Any:
+    """Return the weights of the samples at -2 to 3 in Lagrange interpolation at t in [0, 1)."""
+    p, q, r, s, w = t + 2.0, t + 1.0, t - 1.0, t - 2.0, t - 3.0
+    low, high = p * q, s * w
+    return (
+        q * t * r * high * (-1.0 / 120.0),
+        p * t * r * high * (1.0 / 24.0),
+        low * r * high * (-1.0 / 12.0),
+        low * t * high * (1.0 / 12.0),
+        low * t * r * w * (-1.0 / 24.0),
+        low * t * r * s * (1.0 / 120.0),
+    )
 
 
 def align(stack: Stack, reference: int | None = None, motion: Motion = "translation") -> Alignment:
     """Find the motion of each frame of a stack against a reference frame.
 
-    Each search starts from the motion of the neighbour nearer to the reference, since what
-    focusing moves, it moves steadily.  Frames longer than 1024 pixels are reduced for it.
+    Coarse to fine.  At the coarse levels each search starts from the motion of the neighbour
+    nearer to the reference, since what focusing moves, it moves steadily; the fine ones improve
+    every frame by itself.  Frames longer than 1024 pixels are reduced for it.
 
     Parameters
     ----------
     stack : Stack
-        P frames (V, U); each is asked for once, and all are held at reduced size.
+        P frames (V, U); each is asked for twice.
     reference : int, optional
         The frame that stays; the middle one otherwise.
     motion : {"translation", "affine", "homography"}
@@ -169,67 +193,59 @@ def align(stack: Stack, reference: int | None = None, motion: Motion = "translat
     """
     if motion not in MOTIONS:
         raise InputError("motion", f"one of {', '.join(MOTIONS)}", motion)
-    small, to_small = _reduced(stack)
-    count = len(small)
+    count = len(stack)
     middle = count // 2 if reference is None else reference
     if not isinstance(middle, (int, np.integer)) or not 0 <= middle < count:
         raise InputError("reference", f"a frame from 0 to {count - 1}", reference)
+    parameters = PARAMETERS[motion]
+    coarse = [levels(frame, _COARSE_SIDE) for frame in frames(stack)]
+    template = levels(np.asarray(stack[middle]), _SIDE)
+
+    def found(p: int, result: tuple[FloatArray, float] | None) -> tuple[FloatArray, float]:
+        if result is None:
+            expected = f"one that {motion} aligns with frame {middle}"
+            raise InputError(f"stack: frame {p}", expected, "another")
+        return result
+
     transforms = np.repeat(np.eye(3)[None], count, axis=0)
     correlation = np.ones(count)
     outwards = [(p, p - 1) for p in range(middle + 1, count)]
     outwards += [(p, p + 1) for p in range(middle - 1, -1, -1)]
     for p, start in outwards:
-        found = _search(small[middle], small[p], motion, transforms[start])
+        result = _search(coarse[middle], coarse[p], transforms[start], parameters)
+        transforms[p], correlation[p] = found(p, result)
+    height, width = template[-1].image.shape
+
+    def improve(p: int, frame: NDArray[Any]) -> None:
+        finer = levels(frame, _SIDE)
+        skipped = len([level for level in finer if max(level.image.shape) <= _COARSE_SIDE]) - 1
+        result = _search(template[skipped:], finer[skipped:], transforms[p], parameters)
+        transforms[p], correlation[p] = found(p, result)
+
+    if max(height, width) > _COARSE_SIDE:
+        each_frame(stack, improve, but=middle)
+    for p in range(count):
+        if not _near(transforms[p], *np.shape(stack[middle])[:2]) or (
+            correlation[p] < _LEAST_CORRELATION
+        ):
+            found(p, None)
+    return Alignment(transforms, correlation, int(middle))
+
+
+def _search(
+    template: list[Level], image: list[Level], start: FloatArray, parameters: int
+) -> tuple[FloatArray, float] | None:
+    """Return the motion from template to image, from coarse to fine, and the correlation."""
+    found: tuple[FloatArray, float] | None = None
+    for fixed, moving in zip(template, image, strict=True):
+        found = improved(fixed, moving, start if found is None else found[0], parameters)
         if found is None:
-            which = f"stack: frame {p}"
-            raise InputError(which, f"one that {motion} aligns with frame {middle}", "another")
-        transforms[p], correlation[p] = found
-    transforms = np.linalg.inv(to_small) @ transforms @ to_small
-    transforms /= transforms[:, 2:, 2:]
-    transforms[middle] = np.eye(3)
-    return Alignment(transforms, correlation, middle)
+            return None
+    return found
 
 
-def _reduced(stack: Stack) -> tuple[list[NDArray[np.float32]], FloatArray]:
-    """Return the frames at a size fit for the search, and the (3, 3) map of pixels to theirs."""
-    small: list[NDArray[np.float32]] = []
-    to_small = np.eye(3)
-    for frame in frames(stack):
-        image = frame.astype(np.float32)
-        height, width = image.shape
-        if max(height, width) > _SIDE:
-            ratio = _SIDE / max(height, width)
-            size = (max(1, round(ratio * width)), max(1, round(ratio * height)))
-            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-            scale = np.array([size[0] / width, size[1] / height])
-            # Corners of the image coincide; pixel centres are at integers.
-            to_small[[0, 1], [0, 1]] = scale
-            to_small[:2, 2] = 0.5 * scale - 0.5
-        small.append(image)
-    return small, to_small
-
-
-def _search(template: Any, image: Any, motion: str, start: FloatArray) -> Any:
-    """Return the (3, 3) map from template to image and the correlation, or None."""
-    rows = 3 if motion == "homography" else 2
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, _STEPS, _PRECISION)
-    try:
-        correlation, warp = cv2.findTransformECC(
-            template,
-            image,
-            start[:rows].astype(np.float32),
-            _OPENCV[motion],
-            criteria,
-            None,
-            _SMOOTHING,
-        )
-    except cv2.error:  # singular, or the frames have drifted out of each other
-        return None
-    transform = np.eye(3)
-    transform[:rows] = warp
-    height, width = template.shape
+def _near(transform: FloatArray, height: int, width: int) -> bool:
     corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1.0]]).T
     moved = transform @ corners
     shift = np.abs(moved[:2] / moved[2] - corners[:2]).max()
-    near = np.isfinite(shift) and shift <= _MOST_SHIFT * max(height, width)
-    return (transform, correlation) if near and correlation >= _LEAST_CORRELATION else None
+    return bool(np.isfinite(shift) and shift <= _MOST_SHIFT * max(height, width))

@@ -1,6 +1,9 @@
 """Stacks: sequences of images that are asked for one at a time, and the checks on them."""
 
-from collections.abc import Iterator
+import os
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, Protocol
 
 import numpy as np
@@ -66,3 +69,48 @@ def frames(
         if frame.dtype.kind == "f" and not (np.isfinite(frame.min()) and np.isfinite(frame.max())):
             raise InputError(name, "finite values", "NaN or infinity")
         yield frame
+
+
+_MOST_WORKERS = 8  # frames in work at a time, which bounds the memory
+
+
+def each_frame(
+    stack: Stack,
+    work: Callable[[int, NDArray[Any]], object],
+    *,
+    but: int | None = None,
+    on_done: Callable[[int], object] | None = None,
+) -> None:
+    """Call ``work(index, frame)`` for each frame, several being in work at once.
+
+    Frames are read by this thread alone, in order: a stack need not know of threads.
+
+    Parameters
+    ----------
+    stack : Stack
+    work : callable
+    but : int, optional
+        A frame to leave out.
+    on_done : callable, optional
+        Called with the number of frames that are done.
+
+    Raises
+    ------
+    InputError
+        As :func:`frames`, and what `work` raises.
+    """
+    workers = max(1, min(len(stack), os.cpu_count() or 1, _MOST_WORKERS))
+    pending: deque[Future[object]] = deque()
+    done = 0
+    with ThreadPoolExecutor(workers) as pool:
+        for index, frame in enumerate(frames(stack)):
+            if index == but:
+                continue
+            if len(pending) > workers:
+                pending.popleft().result()
+                done += 1
+            pending.append(pool.submit(work, index, frame))
+            if on_done is not None:
+                on_done(done)
+        while pending:
+            pending.popleft().result()
