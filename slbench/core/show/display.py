@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,47 @@ def length(mm: float) -> str:
     if math.isnan(mm):
         return "–"
     return f"{mm:.4g} mm" if mm == 0.0 or abs(mm) >= 0.1 else f"{1e3 * mm:.3g} µm"
+
+
+@dataclass(frozen=True)
+class LengthUnit:
+    """A unit of length: its name, and how many of it make a millimetre."""
+
+    name: str
+    per_mm: float
+
+
+#: From the largest; each serves lengths of at least so many millimetres.
+_LENGTH_UNITS = (
+    (1.0, LengthUnit("mm", 1.0)),
+    (1e-4, LengthUnit("µm", 1e3)),
+    (0.0, LengthUnit("nm", 1e6)),
+)
+
+
+def length_unit(*mm: Any) -> LengthUnit:
+    """Return the one unit that fits lengths which are to be read beside each other.
+
+    Parameters
+    ----------
+    *mm : float or array
+        Lengths, mm; the largest finite one decides.  Zeros alone, and none, are in mm.
+
+    Returns
+    -------
+    LengthUnit
+        mm from 1 mm up, nm below 0.1 µm, else µm.
+
+    Examples
+    --------
+    >>> length_unit([0.02, -25.0]).name, length_unit(0.06).name, length_unit(3e-5).name
+    ('mm', 'µm', 'nm')
+    """
+    finite = [np.abs(one[np.isfinite(one)]) for one in (np.ravel(v).astype(float) for v in mm)]
+    largest = max((float(one.max()) for one in finite if one.size), default=0.0)
+    if largest == 0.0:
+        return _LENGTH_UNITS[0][1]
+    return next(unit for least, unit in _LENGTH_UNITS if largest >= least)
 
 
 def share(value: float) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.show.drawing import save_png
 
 Array = NDArray[np.float64]
 Cell: TypeAlias = str | float | int | None
@@ -117,7 +118,7 @@ class Picture:
     def drawn(cls, title: str, figure: Any, caption: str = "") -> Picture:
         """Return a matplotlib figure as a picture."""
         buffer = io.BytesIO()
-        figure.savefig(buffer, format="png")
+        save_png(figure, buffer)
         return cls(title, buffer.getvalue(), caption)
 
 

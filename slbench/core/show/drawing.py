@@ -45,8 +45,27 @@ def figure(value: Any, **options: Any) -> Any:
     raise InputError("plot", "a value that has a drawer", type(value).__name__)
 
 
+#: How a figure becomes a PNG: without the name of the library and its version, so that equal
+#: figures are equal files.
+PNG: dict[str, Any] = {"format": "png", "metadata": {"Software": None}}
+
+
+def save_png(drawn: Any, target: Any) -> None:
+    """Save a matplotlib figure as a PNG.
+
+    Parameters
+    ----------
+    drawn : matplotlib Figure
+    target : path or binary file
+        A path is written to as a whole or not at all.
+    """
+    if not isinstance(target, str | Path):
+        drawn.savefig(target, **PNG)
+        return
+    with atomic_path(target) as temporary:
+        drawn.savefig(temporary, **PNG)
+
+
 def write_figure(value: Any, path: str | Path, **options: Any) -> None:
     """Draw a value into a PNG file; see :func:`figure`."""
-    drawn = figure(value, **options)
-    with atomic_path(path) as temporary:
-        drawn.savefig(temporary, format="png")
+    save_png(figure(value, **options), path)

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import tomli_w
-from matplotlib.figure import Figure
 
 from slbench.core.errors import InputError
 from slbench.core.io import plain
+from slbench.core.show.display import length_unit
 from slbench.core.show.document import Cell, Picture, Table
 from slbench.datasets.manifest import Manifest
 from slbench.datasets.spec.distributions import column
@@ -25,6 +25,15 @@ from slbench.datasets.store import index
 from slbench.datasets.store.sample import REQUIRED, TRANSPORT, TRUTH, unpacked
 from slbench.datasets.store.shards import unpack
 from slbench.datasets.store.storage import Storage
+from slbench.report.plots.layout import (
+    TICK_PT,
+    Place,
+    Sheet,
+    Window,
+    cells,
+    limits_of,
+    steps_of,
+)
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.transport import LightTransport
 
@@ -32,6 +41,11 @@ CARD = "README.md"
 FOLDER = "card"
 #: Samples on the contact sheet, and its columns.
 _SHOWN, _COLUMNS = 24, 6
+#: Width of a sample's picture and its margins, height of its name, room of a colour bar, px.
+_WIDTH, _GAP, _NAME, _BAR = 200.0, 6.0, 22.0, 90.0
+#: Histograms beside each other, size of one, px; bars and their letters at most.
+_ABREAST, _DRAWN_WIDTH, _DRAWN_HEIGHT = 4, 290.0, 200.0
+_MOST_BARS, _LETTERS = 12, 18
 _BINS = 16
 
 Row = Mapping[str, Any]
@@ -206,83 +220,129 @@ def _seen(storage: Storage, row: Row) -> tuple[Any, Any, int]:
 
 def contact_sheet(rows: Sequence[Row], pictures: Sequence[Any]) -> Picture:
     """Return the fully lit pictures of samples, each scaled to its own brightness."""
-    figure, axes = _sheet(len(rows))
-    for ax, row, picture in zip(axes, rows, pictures, strict=True):
-        top = max(float(np.percentile(picture, 99.5)), 1e-30)
+    sheet, places = _sheet(pictures)
+    for place, row, picture in zip(places, rows, pictures, strict=True):
+        box = _tile(place, picture)
+        small = _reduced(picture, box)
+        top = max(float(np.percentile(small, 99.5)), 1e-30)
         # A square root, about what a display does, so that dark objects are seen too.
-        shown = np.sqrt(np.clip(picture / top, 0.0, 1.0))
-        ax.imshow(shown, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
-        ax.set_title(_label(row), fontsize=8)
+        sheet.raster(box, np.sqrt(np.clip(small / top, 0.0, 1.0)), "gray", (0.0, 1.0))
+        _name(sheet, place, row)
     caption = "Samples in the light of the whole panel, each scaled to its own brightness."
-    return Picture.drawn("Samples", figure, caption)
+    return Picture.drawn("Samples", sheet.figure, caption)
 
 
 def height_sheet(rows: Sequence[Row], heights: Sequence[Any]) -> Picture:
     """Return the true heights of the drawn objects, all on one scale."""
-    finite = np.concatenate([image[np.isfinite(image)] for image in heights])
-    low, high = np.percentile(finite, [0.5, 99.5]) if finite.size else (0.0, 1.0)
-    figure, axes = _sheet(len(rows))
-    shown: Any = None
-    for ax, row, image in zip(axes, rows, heights, strict=True):
-        shown = ax.imshow(image, cmap="viridis", vmin=low, vmax=high, interpolation="nearest")
-        ax.set_facecolor("0.9")
-        ax.set_title(_label(row), fontsize=8)
-    figure.colorbar(shown, ax=axes, shrink=0.6, label="z / mm")
+    sheet, places = _sheet(heights, _BAR)
+    unit = length_unit(*(limits_of(image) for image in heights if np.isfinite(image).any()))
+    small = [
+        unit.per_mm * _reduced(image, _tile(place, image))
+        for place, image in zip(places, heights, strict=True)
+    ]
+    low, high = limits_of(np.concatenate([image.ravel() for image in small]), 0.5)
+    if low == high:
+        low, high = low - 0.5, high + 0.5
+    for place, row, image in zip(places, rows, small, strict=True):
+        box = _tile(place, image)
+        sheet.ground(box)
+        sheet.raster(box, image, "viridis", (low, high))
+        _name(sheet, place, row)
+    bar_height = min(sheet.height - 70.0, 320.0)
+    bar = Place(sheet.width - _BAR - 8.0, 0.5 * (sheet.height - bar_height), 0.0, bar_height)
+    sheet.bar(bar, "viridis", (low, high), f"z / {unit.name}")
     caption = "True height of the drawn object, seen by the camera; grey where it is not seen."
-    return Picture.drawn("Heights", figure, caption)
+    return Picture.drawn("Heights", sheet.figure, caption)
 
 
-def _sheet(count: int) -> tuple[Figure, list[Any]]:
-    columns = min(_COLUMNS, count)
-    lines = -(-count // columns)
-    figure = Figure(figsize=(2.0 * columns + 1.0, 1.75 * lines + 0.2), dpi=100)
-    figure.set_layout_engine("constrained")
-    grid = figure.subplots(lines, columns, squeeze=False).ravel()
-    for ax in grid:
-        ax.set_xticks([])
-        ax.set_yticks([])
-    for ax in grid[count:]:
-        ax.set_visible(False)
-    return figure, list(grid[:count])
+def _sheet(pictures: Sequence[Any], right: float = 0.0) -> tuple[Sheet, list[Place]]:
+    """Return a sheet with a place for each of some pictures, and room on the right."""
+    columns = min(_COLUMNS, len(pictures))
+    tallest = max(min(max(p.shape[0] / p.shape[1], 0.3), 1.2) for p in pictures)
+    height = (_WIDTH - 2.0 * _GAP) * tallest + _NAME + _GAP
+    places = cells(len(pictures), columns, _WIDTH, height)
+    return Sheet(columns * _WIDTH + right, -(-len(pictures) // columns) * height + _GAP), places
 
 
-def _label(row: Row) -> str:
-    return f"{row['key']} {row['kind'] or ''}".strip()
+def _tile(place: Place, picture: Any) -> Place:
+    """Return where a picture stands in its place, below its name."""
+    rows, columns = picture.shape
+    return place.within(_GAP, _NAME, _GAP, _GAP).fitted(rows / columns)
+
+
+def _reduced(picture: Any, box: Place) -> Any:
+    """Return a picture of about as many pixels as it is shown with."""
+    step = max(1, int(picture.shape[1] / (1.5 * box.width)))
+    return picture[::step, ::step]
+
+
+def _name(sheet: Sheet, place: Place, row: Row) -> None:
+    """Write the key of a sample above its picture, and what it shows where that has room."""
+    key, kind = str(row["key"]), str(row["kind"] or "")
+    # Letters are some 6.5 px wide.
+    fits = len(key) + 1 + len(kind) <= (_WIDTH - 2.0 * _GAP) / 6.5
+    text = f"{key} {kind}".strip() if fits else key
+    sheet.text(place.left + _GAP, place.top + 5.0, text, "title", TICK_PT)
 
 
 def histograms(manifest: Manifest, rows: Sequence[Row]) -> Picture:
     """Return a histogram of every drawn quantity, numbers by bins and texts by value."""
     names = list(manifest.drawn)
-    columns = min(4, len(names))
-    lines = -(-len(names) // columns)
-    figure = Figure(figsize=(2.6 * columns, 2.2 * lines), dpi=100, layout="constrained")
-    grid = figure.subplots(lines, columns, squeeze=False).ravel()
+    columns = min(_ABREAST, len(names))
     ways: dict[str, bool] = {}
     specification = from_dict(manifest.specification, "specification")
     for place, distribution in specification.distributions():
         name = column(place, distribution)
         ways[name] = ways.get(name, True) and distribution.log_uniform is not None
     logarithmic = {name for name, always in ways.items() if always}
-    for ax, name in zip(grid, names, strict=False):
-        values = [row[name] for row in rows if row.get(name) is not None]
-        if values and isinstance(values[0], str):
-            counts = Counter(values)
-            labels = ["\n".join(textwrap.wrap(label, 14)) for label in sorted(counts)]
-            ax.barh(labels, [counts[label] for label in sorted(counts)], color="C0")
-            ax.tick_params(axis="y", labelsize=6)
-        elif values and manifest.columns[name] == "int64" and max(values) - min(values) < 2 * _BINS:
-            edges = np.arange(min(values), max(values) + 2) - 0.5
-            ax.hist(values, bins=edges, color="C0", edgecolor="white", linewidth=0.5)
-        elif values:
-            bins: Any = _BINS
-            # What a draw is added to may be negative.
-            if name in logarithmic and 0.0 < min(values) < max(values):
-                bins = np.geomspace(min(values), max(values), _BINS + 1)
-                ax.set_xscale("log")
-            ax.hist(values, bins=bins, color="C0", edgecolor="white", linewidth=0.5)
-        ax.set_title(f"{name} ({len(values)})", fontsize=8)
-        ax.tick_params(labelsize=7)
-    for ax in grid[len(names) :]:
-        ax.set_visible(False)
+    values = {name: [row[name] for row in rows if row.get(name) is not None] for name in names}
+    bars = max((len(set(v)) for v in values.values() if v and isinstance(v[0], str)), default=0)
+    height = max(_DRAWN_HEIGHT, 60.0 + 18.0 * min(bars, _MOST_BARS))
+    sheet = Sheet(columns * _DRAWN_WIDTH, -(-len(names) // columns) * height)
+    for cell, name in zip(cells(len(names), columns, _DRAWN_WIDTH, height), names, strict=True):
+        title = f"{name} ({len(values[name])})"
+        sheet.text(cell.left + 0.5 * cell.width, cell.top + 8.0, title, "title", ha="center")
+        if values[name] and isinstance(values[name][0], str):
+            _bars(sheet, cell, Counter(values[name]))
+        elif values[name]:
+            whole = manifest.columns[name] == "int64"
+            _distribution(sheet, cell, np.array(values[name], float), whole, name in logarithmic)
     caption = "What was drawn, after rejection; in brackets how many samples have it."
-    return Picture.drawn("Drawn quantities", figure, caption)
+    return Picture.drawn("Drawn quantities", sheet.figure, caption)
+
+
+def _bars(sheet: Sheet, cell: Place, counts: Counter[str]) -> None:
+    """Draw a bar for each text, the most frequent where there are many."""
+    chosen = sorted(dict(counts.most_common(_MOST_BARS)))
+    left = 16.0 + 6.5 * min(max(len(text) for text in chosen), _LETTERS)
+    box = cell.within(left, 30.0, 14.0, 30.0)
+    window = Window(box, (0.0, 1.05 * max(counts.values())), (len(chosen) - 0.5, -0.5))
+    sheet.frame(box)
+    sheet.ticks(window, most=(3, 0))
+    for k, text in enumerate(chosen):
+        n = counts[text]
+        sheet.area(window.at([0.0, n, n, 0.0], [k - 0.35, k - 0.35, k + 0.35, k + 0.35]), "C0")
+        y = float(window.at(0.0, k)[1])
+        label = textwrap.shorten(text, _LETTERS, placeholder="…")
+        sheet.text(box.left - 4.0, y, label, "tick", TICK_PT, ha="right", va="center")
+
+
+def _distribution(sheet: Sheet, cell: Place, values: Any, whole: bool, by_log: bool) -> None:
+    """Draw a histogram of numbers: whole ones by themselves, others in bins."""
+    low, high = float(values.min()), float(values.max())
+    # What a draw is added to may be negative.
+    by_log = by_log and 0.0 < low < high
+    if whole and high - low < 2 * _BINS:
+        edges = np.arange(low, high + 2.0) - 0.5
+    elif by_log:
+        edges = np.geomspace(low, high, _BINS + 1)
+        edges[[0, -1]] = low, high
+    else:
+        edges = np.histogram_bin_edges(values, _BINS)
+    counts = np.histogram(values, edges)[0]
+    box = cell.within(42.0, 30.0, 14.0, 30.0)
+    ends = (float(edges[0]), float(edges[-1]))
+    window = Window(box, ends, (0.0, 1.05 * max(counts.max(), 1)), (by_log, False))
+    sheet.area(window.at(*steps_of(counts, edges)), "C0", edgecolor="C0", linewidth=0.5)
+    sheet.frame(box)
+    sheet.ticks(window, most=(4, 3))

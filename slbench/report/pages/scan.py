@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from slbench.core.io import provenance
 from slbench.core.show.document import Cell, Cloud, Page, Part, Picture, Table, Text
+from slbench.report.plots.layout import Place, Sheet, cell_height
 from slbench.report.plots.scan import panels
 from slbench.score.fusion import FusionScore
 from slbench.score.points import Score, point_errors
@@ -17,15 +17,8 @@ from slbench.simulate.scan import Scan
 
 _UM = 1e3
 
-#: What the panels of the summary show, in their order.
-_CAPTIONS = (
-    "One frame as the camera gave it.",
-    "What the finest patterns say of each pixel before the fringe order is known.",
-    "Where on the projector's panel the light of each pixel comes from.",
-    "Heights in the world's frame; grey: not measured.",
-    "Measured less true height, pixel by pixel; grey: not measured, or no lit point in truth.",
-    "Distribution of the height errors; in red what the detector's noise alone would give.",
-)
+#: Width of a picture of one panel, px: a phone shows one at a time.
+_PICTURE = 560.0
 
 
 def scan_page(result: Scan) -> Page:
@@ -172,14 +165,13 @@ def _fusion_table(fusion: FusionScore) -> Table:
 
 
 def _pictures(result: Scan) -> list[Picture]:
-    """Draw each panel of the summary by itself: a phone shows one at a time."""
+    """Draw each panel of the summary by itself; the view shows the shape already."""
+    seen, (_, *found) = panels(result)
+    height = cell_height(result.transport.shape, _PICTURE)
     pictures = []
-    for draw, caption in zip(panels(result), _CAPTIONS, strict=True):
-        figure = Figure(figsize=(5.6, 4.0), dpi=100, layout="constrained")
-        axes = figure.subplots()
-        draw(axes)
-        # The page's heading says it; twice would be once too often.
-        title = axes.get_title()
-        axes.set_title("")
-        pictures.append(Picture.drawn(title, figure, caption))
+    for panel in (*seen, *found):
+        sheet = Sheet(_PICTURE, height)
+        # The page's heading is the title; twice would be once too often.
+        panel.draw(sheet, Place(0.0, 0.0, _PICTURE, height), "")
+        pictures.append(Picture.drawn(panel.title, sheet.figure, panel.caption))
     return pictures
