@@ -4,8 +4,9 @@ A view holds at most :data:`MOST_POINTS` points, drawn at random with a fixed se
 page of a large scan stays small and the same scan gives the same page.  Its box is that of the
 truth and of nearly all measured points; a gross error of the fringe order, a metre away, is
 counted in words instead of making the rest a speck.  Colours end at percentiles for the same
-reason.  Arrays go into the page as base64 of little-endian float32: 1 nm at 10 mm, 10 nm at
-100 mm.
+reason.  It opens on the shape: coloured by height and shaded by the surface's normals, as light
+from the left would.  Arrays go into the page as base64 of little-endian float32: 1 nm at 10 mm,
+10 nm at 100 mm; shades as bytes.
 """
 
 from __future__ import annotations
@@ -17,19 +18,23 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, to_hex
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from slbench.core.random import generator
+from slbench.core.show.display import length_unit
 from slbench.core.show.document import Cloud, Picture
+from slbench.report.plots.layout import Place, Sheet
+from slbench.report.plots.relief import EYE, coloured, put_relief, scattered_normals, shading
 
 Array = NDArray[np.float64]
 
 #: Most measured and most true points of a view.
 MOST_POINTS = 60_000
 MOST_TRUE_POINTS = 20_000
-#: Name of the colouring by height, which every view has.
-HEIGHT = "height / mm"
+#: The colouring by height, which every view has and opens on.
+HEIGHT = "height"
+#: A shade of one as a byte of the page; brighter ones go up to 255.
+_SHADE = 200.0
 
 #: Percentiles between which colours change, and those that the box reaches to with a margin.
 _COLOUR_PERCENTILES = (2.0, 98.0)
@@ -37,12 +42,10 @@ _BOX_PERCENTILES = (0.5, 99.5)
 #: Margin of the box, and its least side, as shares of the largest side: a flat plate needs a
 #: box that can be seen from its side.
 _MARGIN, _LEAST_SIDE = 0.05, 0.12
-#: Points in the picture that stands in for a view.
-_STILL_POINTS = 12_000
-#: Diagonal of the box, and where it is first seen from, above and in front, in the library's
-#: units.
+#: Size of the picture that stands in for a view, and the room of its colour bar, px.
+_STILL, _BAR = (720.0, 480.0), 90.0
+#: Diagonal of the box in the library's units.
 _DIAGONAL = 2.25
-_EYE = np.array((-1.1, -1.8, 1.4))
 _STOPS = 17
 
 
@@ -51,7 +54,8 @@ class Colouring:
     """One way to colour the points that are shown.
 
     ``low`` and ``high`` are where the colours end; values beyond take the last colour.  Values
-    of both signs have their middle colour at zero.
+    of both signs have their middle colour at zero.  ``shade`` is the brightness of each point
+    where the colours show a shape.
     """
 
     name: str
@@ -59,22 +63,26 @@ class Colouring:
     low: float
     high: float
     diverging: bool
+    shade: Array | None = None
 
     @classmethod
-    def of(cls, name: str, values: Array, height: bool = False) -> Colouring:
-        """Choose the range of colours for values, of which some may be NaN."""
+    def of(cls, name: str, values: Array, shade: Array | None = None) -> Colouring:
+        """Choose the range of colours for values, of which some may be NaN.
+
+        Those with a shade are heights, which have no middle.
+        """
         finite = values[np.isfinite(values)]
         if not finite.size:
-            return cls(name, values, 0.0, 1.0, False)
+            return cls(name, values, 0.0, 1.0, False, shade)
         low, high = (float(v) for v in np.percentile(finite, _COLOUR_PERCENTILES))
-        diverging = not height and low < 0.0 < high
+        diverging = shade is None and low < 0.0 < high
         if diverging:
             high = max(-low, high)
             low = -high
         if high - low <= 1e-9 * max(abs(low), abs(high), 1e-9):
             # All alike: any width will do that gives them the middle colour.
             low, high = low - 0.5 * max(abs(low), 1.0), high + 0.5 * max(abs(high), 1.0)
-        return cls(name, values, low, high, diverging)
+        return cls(name, values, low, high, diverging, shade)
 
     @property
     def colours(self) -> tuple[str, ...]:
@@ -138,18 +146,23 @@ def cloud_view(cloud: Cloud) -> CloudView:
     true_points = truth[_sample(np.arange(len(truth)), MOST_TRUE_POINTS)]
     points = cloud.points[chosen]
     values = {k: np.asarray(v, dtype=np.float64)[chosen] for k, v in cloud.values.items()}
-    colourings = [Colouring.of(name, colour) for name, colour in values.items()]
-    colourings.append(Colouring.of(HEIGHT, points[:, 2], height=True))
     sides = box[1] - box[0]
+    unit, high = length_unit(sides), length_unit(box[:, 2])
+    height = f"{HEIGHT} / {high.name}"
+    shade = shading(scattered_normals(points))
+    colourings = [Colouring.of(height, high.per_mm * points[:, 2], shade)]
+    colourings += [Colouring.of(name, colour) for name, colour in values.items()]
     # Equal scales on all axes; a diagonal of this many of the library's units fills the view.
     aspect = _DIAGONAL * sides / np.linalg.norm(sides)
+    shown_points, shown_truth = unit.per_mm * points, unit.per_mm * true_points
     data = {
         "count": len(chosen),
-        "points": [_packed(points[:, axis]) for axis in range(3)],
-        "truth": [_packed(true_points[:, axis]) for axis in range(3)] if len(true_points) else None,
-        "box": box.T.tolist(),
+        "unit": unit.name,
+        "points": [_packed(shown_points[:, axis]) for axis in range(3)],
+        "truth": [_packed(shown_truth[:, axis]) for axis in range(3)] if len(true_points) else None,
+        "box": (unit.per_mm * box).T.tolist(),
         "aspect": aspect.tolist(),
-        "eye": _EYE.tolist(),
+        "eye": EYE.tolist(),
         "size": _marker_size(len(chosen)),
         "colourings": [
             {
@@ -159,9 +172,11 @@ def cloud_view(cloud: Cloud) -> CloudView:
                 "low": colouring.low,
                 "high": colouring.high,
                 "colours": colouring.colours,
+                "shade": None if colouring.shade is None else _shades(colouring.shade),
             }
             for colouring in colourings
         ],
+        "bright": _SHADE,
     }
     note = _note(cloud, len(finite), len(inside), len(chosen), len(true_points), len(truth))
     still = _still(cloud, points, colourings[0], box) if len(chosen) else None
@@ -198,6 +213,10 @@ def _packed(values: Array) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
+def _shades(shade: Array) -> str:
+    return base64.b64encode(np.round(_SHADE * shade).astype(np.uint8).tobytes()).decode("ascii")
+
+
 def _note(
     cloud: Cloud, finite: int, inside: int, shown: int, true_shown: int, true_points: int
 ) -> str:
@@ -217,31 +236,16 @@ def _note(
 
 def _still(cloud: Cloud, points: Array, colouring: Colouring, box: Array) -> Picture:
     """Draw the cloud as it is first seen, without the truth."""
-    some = _sample(np.arange(len(points)), _STILL_POINTS)
-    x, y, z = points[some].T
-    figure = Figure(figsize=(7.2, 4.8), dpi=100, layout="constrained")
-    axes: Any = figure.add_subplot(projection="3d")
-    values = np.ma.masked_invalid(colouring.values[some])
+    sheet = Sheet(*_STILL)
+    limits = (colouring.low, colouring.high)
     scale = LinearSegmentedColormap.from_list("report", colouring.colours)
-    shown = axes.scatter(
-        x,
-        y,
-        z,
-        c=values,
-        s=2.5 * _marker_size(len(some)),
-        cmap=scale.with_extremes(bad="0.6"),
-        vmin=colouring.low,
-        vmax=colouring.high,
-        linewidths=0.0,
-        plotnonfinite=True,
+    colours = coloured(colouring.values, limits, scale, colouring.shade)
+    unit = length_unit(box[1] - box[0])
+    names = (f"x / {unit.name}", f"y / {unit.name}", f"z / {unit.name}")
+    place = Place(0.0, 0.0, sheet.width - _BAR, sheet.height)
+    put_relief(sheet, place, unit.per_mm * points, colours, unit.per_mm * box, names)
+    bar = Place(place.right, 0.2 * sheet.height, 0.0, 0.6 * sheet.height)
+    sheet.bar(bar, scale, limits, colouring.label[1])
+    return Picture.drawn(
+        cloud.title, sheet.figure, f"{cloud.title}, coloured by {colouring.label[0]}"
     )
-    azimuth = np.rad2deg(np.arctan2(_EYE[1], _EYE[0]))
-    elevation = np.rad2deg(np.arctan2(_EYE[2], np.hypot(_EYE[0], _EYE[1])))
-    axes.view_init(elev=elevation, azim=azimuth)
-    axes.set_box_aspect(box[1] - box[0])
-    axes.set(xlim=box[:, 0], ylim=box[:, 1], zlim=box[:, 2])
-    axes.locator_params(axis="z", nbins=3)
-    axes.set(xlabel="x / mm", ylabel="y / mm", zlabel="z / mm")
-    # Names are the caller's text: a dollar sign in them is no mathematics.
-    figure.colorbar(shown, ax=axes, shrink=0.7).set_label(colouring.name, parse_math=False)
-    return Picture.drawn(cloud.title, figure, f"{cloud.title}, coloured by {colouring.label[0]}")

@@ -32,6 +32,8 @@ from slbench.report.cloud import cloud_view
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|inf)(e[+-]?\d+)?")
+#: Pictures that have more pixels across, px, stand alone: half a page would make their text small.
+_WIDE = 640
 #: Keys of the provenance that are shown first, and how they are called.
 _FACTS = {
     "slbench": "slbench",
@@ -163,7 +165,7 @@ def _image(picture: Picture) -> dict[str, Any]:
         "source": "data:image/png;base64," + base64.b64encode(picture.png).decode("ascii"),
         "width": width,
         "height": height,
-        "wide": width > 1.7 * height,
+        "wide": width > _WIDE,
         "alternative": picture.caption or picture.title,
     }
 

@@ -113,8 +113,8 @@ def test_text_is_text(attacked):
     # JSON cannot end its element: what a parser reads is what was written.
     (data,) = attacked.data()
     assert "<" not in data
-    assert json.loads(data)["colourings"][0]["what"] == ATTACK
-    assert json.loads(data)["colourings"][0]["unit"] == ATTACK
+    assert json.loads(data)["colourings"][1]["what"] == ATTACK
+    assert json.loads(data)["colourings"][1]["unit"] == ATTACK
 
 
 def test_script_json_is_json():
@@ -226,8 +226,8 @@ def test_the_points_are_those_of_the_cloud():
     assert np.abs(shown - given.points).max() < 1e-6
     truth = np.column_stack([unpacked(text) for text in view.data["truth"]])
     assert np.abs(truth - given.truth).max() < 1e-6
-    assert [c["what"] for c in view.data["colourings"]] == ["error", "σ", "height"]
-    values = unpacked(view.data["colourings"][0]["values"])
+    assert [c["what"] for c in view.data["colourings"]] == ["height", "error", "σ"]
+    values = unpacked(view.data["colourings"][1]["values"])
     assert np.array_equal(np.isnan(values), np.isnan(given.values["error / µm"]))
 
 
@@ -247,7 +247,7 @@ def test_large_clouds_are_thinned_the_same_way_every_time():
     assert "60,000 of 90,000 measured points" in first.note
     assert "20,000 of 90,000 true points" in first.note
     # Points and values belong together still: z is what the height says.
-    assert first.data["points"][2] == first.data["colourings"][-1]["values"]
+    assert first.data["points"][2] == first.data["colourings"][0]["values"]
 
 
 def test_gross_errors_are_counted_and_do_not_rule_the_box():
@@ -271,7 +271,7 @@ def test_ranges_of_colours():
     assert both.high == pytest.approx(23.5, rel=0.05)
     one = Colouring.of("s", rng.uniform(5.0, 6.0, 10_000))
     assert (one.diverging, round(one.low, 1), round(one.high, 1)) == (False, 5.0, 6.0)
-    assert not Colouring.of("z", np.array([-1.0, 1.0]), height=True).diverging
+    assert not Colouring.of("z", np.array([-1.0, 1.0]), np.ones(2)).diverging
     for same in (np.zeros(5), np.full(5, 7.0), np.full(5, np.nan)):
         alike = Colouring.of("s", same)
         assert alike.low < alike.high

@@ -1,5 +1,6 @@
 """Pictures of values: asked for by the value, found by its type."""
 
+import itertools
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 import slbench as sl
 from slbench.core import registry
 from slbench.core.registry import resolved
-from slbench.core.show.drawing import figure
+from slbench.core.show.drawing import figure, write_figure
 from slbench.report.plots import DRAWERS
 
 
@@ -22,7 +23,8 @@ def scan():
 
 def images(drawn):
     """Return the images of a figure, those of colour bars left out."""
-    return [one.get_array() for axes in drawn.axes for one in axes.images]
+    found = [one for axes in drawn.axes for one in axes.images]
+    return [one.get_array() for one in found if one.get_gid() != "bar"]
 
 
 def test_every_row_names_a_type_and_its_drawer():
@@ -95,8 +97,83 @@ def test_a_stack_shows_a_frame_a_setting(scan):
     assert "camera 400 mm" in stack.plot().axes[0].get_title()
 
 
+def texts(drawn, kind):
+    """Return the texts of a kind on a sheet, as they are read."""
+    return [one.get_text() for one in drawn.axes[0].texts if one.get_gid() == kind]
+
+
+def overlaps(drawn):
+    """Return the pairs of texts of a sheet whose boxes share more than a pixel, once drawn."""
+    drawn.canvas.draw()
+    shown = [one for one in drawn.axes[0].texts if one.get_text()]
+    boxes = [one.get_window_extent() for one in shown]
+    return [
+        (a.get_text(), b.get_text())
+        for (a, box_a), (b, box_b) in itertools.combinations(zip(shown, boxes, strict=True), 2)
+        if min(box_a.x1, box_b.x1) - max(box_a.x0, box_b.x0) > 1.0
+        and min(box_a.y1, box_b.y1) - max(box_a.y0, box_b.y0) > 1.0
+    ]
+
+
+def cut_off(drawn):
+    """Return the texts of a sheet that reach beyond it."""
+    drawn.canvas.draw()
+    width, height = drawn.canvas.get_width_height()
+    return [
+        one.get_text()
+        for one in drawn.axes[0].texts
+        for box in [one.get_window_extent()]
+        if one.get_text()
+        and not (box.x0 > -1 and box.y0 > -1 and box.x1 < width + 1 and box.y1 < height + 1)
+    ]
+
+
 def test_a_scan_draws_its_summary(scan):
-    assert len(images(scan.plot())) == 5
+    drawn = scan.plot()
+    # Four of what was seen, shape in colours, heights, errors; the eighth is a histogram.
+    frame, phase, coordinate, modulation, shape, height, error = images(drawn)
+    np.testing.assert_array_equal(frame, scan.capture.frames[3])
+    np.testing.assert_array_equal(coordinate.filled(np.nan), scan.phase.coordinate["u"])
+    np.testing.assert_array_equal(modulation, scan.phase.modulation)
+    assert np.nanmax(phase) <= 2 * np.pi
+    assert shape.shape[2] == 4
+    # The block is higher than a millimetre, its errors are not.
+    z = scan.cloud.image(scan.cloud.points[:, 2])
+    np.testing.assert_allclose(height.filled(np.nan), z)
+    truth = scan.truth.point[..., 2]
+    assert np.nanmax(np.abs(error.filled(np.nan) - 1e3 * (z - truth))) < 1e-6
+    assert texts(drawn, "unit") == ["DN", "rad", "px", "DN", "mm", "µm"]
+    assert [name for name in texts(drawn, "label") if name[0] in "xyzh"] == [
+        *("x / mm", "y / mm", "z / mm"),
+        "height error / µm",
+    ]
+    assert "median error" in texts(drawn, "title")[-1]
+
+
+@pytest.mark.parametrize(
+    ("scene", "patterns"),
+    [("step-block", ("gray+8@4", 3, "uv")), ("ch8-coin-3", None), ("plane", ("gray", 3, "u"))],
+)
+def test_texts_of_a_summary_have_room(scene, patterns):
+    # Macro and micro rigs, oblong and square sensors, one axis and two, with and without fringes.
+    loaded = sl.load_scene(scene, preview=True)
+    if patterns is not None:
+        loaded = loaded.with_patterns(*patterns)
+    drawn = sl.scan(loaded, samples=2).plot()
+    assert overlaps(drawn) == []
+    assert cut_off(drawn) == []
+    if scene == "ch8-coin-3":
+        # 60 um high on a field of half a millimetre: one unit for both, and for the errors.
+        assert texts(drawn, "unit")[-2:] == ["µm", "µm"]
+        assert "z / µm" in texts(drawn, "label")
+
+
+def test_equal_figures_are_equal_files(scan, tmp_path):
+    for name in ("a.png", "b.png"):
+        write_figure(scan, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    # Nothing in it names the library or the time.
+    assert b"Software" not in (tmp_path / "a.png").read_bytes()
 
 
 class Other:

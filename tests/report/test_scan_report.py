@@ -70,12 +70,14 @@ def test_the_cloud_is_the_scans_with_its_errors():
 
 def test_pictures_are_the_summarys_panels():
     titles = [part.title for part in block_page().parts if isinstance(part, Picture)]
-    assert len(titles) == 6
-    assert titles[1:5] == [
+    assert titles[1:] == [
         "Relative phase of that set",
         "Panel coordinate u",
+        "Modulation",
+        "Predicted deviation of u",
         "Measured height z",
         "Height error",
+        "Distribution of height errors",
     ]
 
 
@@ -173,7 +175,7 @@ def test_a_calibrations_cloud_is_coloured_by_what_the_model_is_off():
     held = selection.validation
     z = shown.values["residual of z / µm"][held]
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1e3 * selection.final["z"].validation_rms)
-    assert cloud_view(shown).colourings[0].name == "residual of z / µm"
+    assert cloud_view(shown).colourings[1].name == "residual of z / µm"
 
 
 def test_fit_writes_a_report(tmp_path):

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from slbench.core.io import provenance
+from slbench.core.show.display import LengthUnit, length_unit
 from slbench.core.show.document import Cell, Cloud, Page, Part, Picture, Table, Text
 from slbench.report.plots.layout import Place, Sheet, cell_height
 from slbench.report.plots.scan import panels
@@ -14,8 +15,6 @@ from slbench.score.fusion import FusionScore
 from slbench.score.points import Score, point_errors
 from slbench.simulate.folder import scan_parameters
 from slbench.simulate.scan import Scan
-
-_UM = 1e3
 
 #: Width of a picture of one panel, px: a phone shows one at a time.
 _PICTURE = 560.0
@@ -61,81 +60,114 @@ def feature_tables(score: Score) -> list[Table]:
     Returns
     -------
     list of Table
-        Steps, planes, spheres, spacings; lengths in mm have a tenth of a micrometre.
+        Steps, planes, spheres, spacings; one unit a column, the one that fits.
     """
+    steps, planes, spheres, spacings = score.steps, score.planes, score.spheres, score.spacings
+    size = length_unit([s.nominal_mm for s in steps])
+    small = length_unit([(s.deviation_mm, s.uncertainty_mm, s.std_mm) for s in steps])
+    flat = length_unit([(p.flatness_mm, p.std_mm) for p in planes])
+    radius = length_unit([s.nominal_radius_mm for s in spheres])
+    form = length_unit(
+        [(s.radius_uncertainty_mm, s.centre_error_mm, s.form_mm, s.std_mm) for s in spheres]
+    )
+    apart = length_unit([s.nominal_mm for s in spacings])
+    unsure = length_unit([s.uncertainty_mm for s in spacings])
     tables = [
         Table(
             "Steps",
-            ("object", "step", "nominal / mm", "measured / mm", "error / µm", *_SPREAD),
+            (
+                *("object", "step", f"nominal / {size.name}", f"measured / {size.name}"),
+                *(f"{name} / {small.name}" for name in ("error", "uncertainty", "scatter")),
+                "points",
+            ),
             tuple(
                 (
                     s.object,
                     s.name,
-                    s.nominal_mm,
-                    f"{s.measured_mm:.4f}",
-                    f"{_UM * s.deviation_mm:+.2f}",
-                    _UM * s.uncertainty_mm,
-                    _UM * s.std_mm,
+                    size.per_mm * s.nominal_mm,
+                    _measured(s.measured_mm, size),
+                    f"{small.per_mm * s.deviation_mm:+.2f}",
+                    small.per_mm * s.uncertainty_mm,
+                    small.per_mm * s.std_mm,
                     s.points,
                 )
-                for s in score.steps
+                for s in steps
             ),
             "Height between least-squares planes; the uncertainty is what scatter leaves (k = 1).",
         ),
         Table(
             "Planes",
-            ("object", "plane", "flatness / µm", "scatter / µm", "points"),
+            ("object", "plane", f"flatness / {flat.name}", f"scatter / {flat.name}", "points"),
             tuple(
-                (p.object, p.name, _UM * p.flatness_mm, _UM * p.std_mm, p.points)
-                for p in score.planes
+                (p.object, p.name, flat.per_mm * p.flatness_mm, flat.per_mm * p.std_mm, p.points)
+                for p in planes
             ),
             "Flatness: range of the residuals, 0.3 % of the points set aside.",
         ),
         Table(
             "Spheres",
             (
-                *("object", "sphere", "nominal radius / mm", "radius / mm"),
-                *("uncertainty / µm", "centre error / µm", "form / µm", "scatter / µm", "points"),
+                *("object", "sphere", f"nominal radius / {radius.name}", f"radius / {radius.name}"),
+                *(
+                    f"{name} / {form.name}"
+                    for name in ("uncertainty", "centre error", "form", "scatter")
+                ),
+                "points",
             ),
             tuple(
                 (
                     s.object,
                     s.name,
-                    s.nominal_radius_mm,
-                    f"{s.radius_mm:.4f}",
-                    _UM * s.radius_uncertainty_mm,
-                    _UM * s.centre_error_mm,
-                    _UM * s.form_mm,
-                    _UM * s.std_mm,
+                    radius.per_mm * s.nominal_radius_mm,
+                    _measured(s.radius_mm, radius),
+                    form.per_mm * s.radius_uncertainty_mm,
+                    form.per_mm * s.centre_error_mm,
+                    form.per_mm * s.form_mm,
+                    form.per_mm * s.std_mm,
                     s.points,
                 )
-                for s in score.spheres
+                for s in spheres
             ),
             "Form: range of the residuals, 0.3 % of the points set aside.",
         ),
         Table(
             "Spacings",
-            ("object", "spheres", "nominal / mm", "measured / mm", "uncertainty / µm"),
+            (
+                *("object", "spheres", f"nominal / {apart.name}", f"measured / {apart.name}"),
+                f"uncertainty / {unsure.name}",
+            ),
             tuple(
-                (s.object, s.name, s.nominal_mm, f"{s.measured_mm:.4f}", _UM * s.uncertainty_mm)
-                for s in score.spacings
+                (
+                    s.object,
+                    s.name,
+                    apart.per_mm * s.nominal_mm,
+                    _measured(s.measured_mm, apart),
+                    unsure.per_mm * s.uncertainty_mm,
+                )
+                for s in spacings
             ),
         ),
     ]
     return [table for table in tables if table.rows]
 
 
-_SPREAD = ("uncertainty / µm", "scatter / µm", "points")
+def _measured(mm: float, unit: LengthUnit) -> str:
+    """Return a measured length to a tenth of a micrometre, or to 10 nm where it is in µm."""
+    return f"{unit.per_mm * mm:.{4 if unit.name == 'mm' else 2}f}"
 
 
 def scan_cloud(result: Scan) -> Cloud:
     """Return the cloud of a scan with its errors, and the true points that are lit."""
     error = point_errors(result.cloud, result.truth)
-    values = {
-        "height error / µm": _UM * error[:, 2],
-        "distance from truth / µm": _UM * np.linalg.norm(error, axis=1),
-        "predicted σ / µm": _UM * result.cloud.sigma_total_mm,
+    lengths = {
+        "height error": error[:, 2],
+        "distance from truth": np.linalg.norm(error, axis=1),
+        "predicted σ": result.cloud.sigma_total_mm,
     }
+    # One unit for all: they are compared with each other.
+    finite = error[np.isfinite(error[:, 2]), 2]
+    unit = length_unit(np.percentile(np.abs(finite), 98.0) if finite.size else 0.0)
+    values = {f"{name} / {unit.name}": unit.per_mm * mm for name, mm in lengths.items()}
     caption = "Measured points; grey ones have no lit point in truth to be compared with."
     return Cloud(
         "Measured cloud", result.cloud.points, values, result.truth.point[result.truth.lit], caption

@@ -43,7 +43,7 @@ _FINER = 2
 #: Most points that are drawn; more do not show.
 MOST_POINTS = 80_000
 #: Room for the numbers and names of the axes, px.
-_AXES_LEFT, _AXES_ABOVE, _AXES_RIGHT, _AXES_BELOW = 42.0, 14.0, 20.0, 38.0
+_AXES_LEFT, _AXES_ABOVE, _AXES_RIGHT, _AXES_BELOW = 42.0, 24.0, 20.0, 38.0
 #: Least distance of two numbers along an axis, px.
 _APART = 30.0
 
@@ -306,7 +306,7 @@ def _box_edges(
             if k in kept:
                 texts.append((foot + away, text, "tick", across))
         if axis == 2:
-            texts.append((along(1.0) + np.array((0.0, -9.0)), names[2], "label", "center"))
+            texts.append((along(1.0) + np.array((0.0, -17.0)), names[2], "label", "center"))
         else:
             texts.append((along(0.5) + away * (6.0, 2.2), names[axis], "label", across))
     return lines, texts

@@ -39,6 +39,23 @@
     return new Float32Array(bytes.buffer);
   }
 
+  function bytes(text) {
+    return text && Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
+  }
+
+  // Colours of a shape: those of the scale, each point darker or brighter by its shade.
+  function shaded({ values, low, high, colours, shade }, bright) {
+    const stops = colours.map((c) => [1, 3, 5].map((k) => parseInt(c.slice(k, k + 2), 16)));
+    const last = stops.length - 1;
+    return Array.from(values, (v, n) => {
+      const place = last * Math.min(1, Math.max(0, (v - low) / (high - low)));
+      const k = Math.min(last - 1, Math.floor(place));
+      const mixed = [0, 1, 2].map((c) => Math.min(255, Math.round((shade[n] / bright)
+        * (stops[k][c] + (place - k) * (stops[k + 1][c] - stops[k][c])))));
+      return `rgb(${mixed.join()})`;
+    });
+  }
+
   // Values as places on the scale: 0 at the low end, 1 at the high end, -1 without a value.
   function places(colouring) {
     const { values, low, high } = colouring;
@@ -77,7 +94,8 @@
       this.hint = this.readout.textContent;
       this.points = data.points.map(unpack);
       this.truth = data.truth && data.truth.map(unpack);
-      this.colourings = data.colourings.map((c) => ({ ...c, values: unpack(c.values) }));
+      this.colourings = data.colourings.map(
+        (c) => ({ ...c, values: unpack(c.values), shade: bytes(c.shade) }));
       this.shown = [true, false];
       this.current = 0;
       this.asked = false;
@@ -92,7 +110,7 @@
       return {
         size: this.data.size,
         line: { width: 0 },
-        color: places(colouring),
+        color: colouring.shade ? shaded(colouring, this.data.bright) : places(colouring),
         colorscale: scale(colouring.colours),
         cmin: -1,
         cmax: 1,
@@ -123,7 +141,7 @@
       const { ink, rule } = this.theme();
       const largest = Math.max(...this.data.aspect);
       const axis = (k) => ({
-        title: { text: `${'xyz'[k]} / mm` },
+        title: { text: `${'xyz'[k]} / ${this.data.unit}` },
         range: this.data.box[k],
         nticks: Math.max(2, Math.round((8 * this.data.aspect[k]) / largest)),
         color: ink,
@@ -222,7 +240,7 @@
       const place = this.points.map((axis, a) => `${'xyz'[a]} ${number(axis[k], 6)}`);
       const { what, unit, values } = this.colourings[this.current];
       const value = Number.isNaN(values[k]) ? 'none' : `${number(values[k], 4)} ${unit}`;
-      this.say(`${place.join(', ')} mm; ${what} ${value}`);
+      this.say(`${place.join(', ')} ${this.data.unit}; ${what} ${value}`);
     }
 
     showBar() {
