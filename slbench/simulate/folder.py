@@ -42,7 +42,7 @@ def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> lis
     result : Scan
     folder : path
     picture : bool
-        False leaves out ``summary.png``, which takes longer to draw than a small scan to make.
+        False leaves out ``summary.png``.
 
     Returns
     -------

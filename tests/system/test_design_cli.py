@@ -67,6 +67,28 @@ def check_scene(path, configuration):
     assert len(scene.objects) == 1
 
 
+def test_the_search_prints_what_its_rigs_measure_beside_the_files_own(found, tmp_path):
+    folder, outcome = found
+    summary = json.loads(outcome.out)
+    own = evaluate(MACRO, read_configurations(TABLE_4)[4:5]).rows()[0]
+    # The file has the fifth of table 4, with its angles to a hundredth of a degree.
+    assert summary["baseline"]["n_points"] == pytest.approx(own["n_points"], rel=0.02)
+    assert summary["baseline"]["mu_mm"] == pytest.approx(own["mu_mm"], rel=0.02)
+    assert len(summary["rigs"]) == summary["clusters"]
+    assert summary["rigs"][summary["recommended"]]["mu_mm"] == summary["mu_mm"]
+    printed = run_cli("design", "rig", NAME, "--out", tmp_path / "rig", "--evaluations", 150)
+    for name in ("error / µm", "angle / °", "coverage / %", "points", "spacing / mm"):
+        assert name in printed.out
+    rows = [line.replace("│", "").split() for line in printed.out.splitlines() if "│" in line]
+    assert rows[0][0] == "own"
+    assert float(rows[0][1]) == pytest.approx(1e3 * summary["baseline"]["mu_mm"], rel=1e-3)
+    assert int(rows[0][4]) == summary["baseline"]["n_points"]
+    assert len(rows) == 1 + summary["clusters"]
+    # Equal searches are equal pictures.
+    for picture in ("front.png", "rigs.png"):
+        assert (folder / picture).read_bytes() == (tmp_path / "rig" / picture).read_bytes()
+
+
 def test_evaluate_json():
     status, out, _ = run_cli("design", "evaluate", NAME, TABLE_4, "--json")
     assert status == 0
@@ -234,7 +256,10 @@ def test_pick_and_going_on(found, tmp_path):
     )
     assert status == 0, err
     assert "slbench scan" in text
-    assert len(text.splitlines()) == 3
+    # The picked one is marked, and what the mark means is said.
+    rows = [line.replace("│", "").split() for line in text.splitlines() if "│" in line]
+    assert next(row for row in rows if row[0] == str(other))[1].startswith(">")
+    assert ">: picked" in text
     x = Front.load(before / "front.npz").x
     np.testing.assert_array_equal(Front.load(tmp_path / "rig" / "front.npz").x, x)
     clusters = table(tmp_path / "rig" / "clusters.csv")

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, Seed, print_json, progress
+from slbench.cli.common import AllowModules, Json, Seed, print_json, print_table, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from slbench.design.rig.evaluate import Evaluation
+    from slbench.design.rig.optimise import RigDesign
 
 
 @command("slbench design rig hardware/macro-ch6 --out out/rig")
@@ -51,6 +57,7 @@ def rig(
     from slbench.design.rig.evaluate import evaluate as run
     from slbench.design.rig.hardware import (
         load_hardware,
+        own_configuration,
         read_configurations,
         thesis_configurations,
     )
@@ -82,6 +89,9 @@ def rig(
         design.member(pick)  # refuse a wrong number before anything is written
     known = None if micro else thesis_configurations(loaded)
     marked = None if known is None else run(loaded, known)
+    content = read_merged(path, allow_modules)
+    own = None if micro else own_configuration(content)
+    baseline = None if own is None else run(loaded, own)
     parameters = {
         "hardware": hardware,
         "objectives": design.objectives,
@@ -92,7 +102,7 @@ def rig(
         "seconds": design.seconds,
     }
     write_design(
-        design, out, read_merged(path, allow_modules), parameters, seed, pick=pick, marked=marked
+        design, out, content, parameters, seed, pick=pick, marked=marked, baseline=baseline
     )
     member = design.member(pick)
     best = design.evaluation.rows()[member]
@@ -105,6 +115,8 @@ def rig(
         "recommended": design.recommended,
         "configuration": variables.tolist(),
         **best,
+        "baseline": None if baseline is None else baseline.rows()[0],
+        "rigs": [design.evaluation.rows()[design.member(k)] for k in range(len(design.clusters))],
         "seconds": design.seconds,
         "out": str(out),
     }
@@ -118,11 +130,54 @@ def rig(
         f"{summary['evaluations']} evaluations ({_ENDS[design.front.stopped]}), "
         f"{design.seconds:.1f} s"
     )
+    print_table(_rigs_table(design, baseline, pick))
     names = ("z_ref", "w", "h", "l", "alpha_P", "beta_P")
     print("rig: " + ", ".join(f"{n} {v:.5g}" for n, v in zip(names, variables, strict=True)))
     print(f"Written to {out}: scan it with slbench scan {out / 'scene.toml'}")
     if design.front.stopped == "interrupted":
         print(f"--start {out / 'front.npz'} goes on from there")
+
+
+def _rigs_table(design: RigDesign, baseline: Evaluation | None, pick: int | None) -> Table:
+    """Lay out what the representatives of the clusters measure, the file's own rig first."""
+    from rich.table import Table
+
+    from slbench.core.show.display import length_unit
+    from slbench.core.show.document import shown
+    from slbench.report.plots.rig_design import few_points
+
+    rows, few, chosen = design.evaluation.rows(), few_points(design), design.member(pick)
+    named = [] if baseline is None else [("own", baseline.rows()[0], shown(None))]
+    notes = [] if baseline is None else ["own: the hardware file's rig"]
+    # A search for the largest volume has its edge in place of the spacing of points.
+    largest = design.objectives == ("volume",)
+    # One unit a column: that of the rig that matters.
+    units = [length_unit(rows[chosen][name]) for name in ("mu_mm", "dispersion_mm")]
+    for k in range(len(design.clusters)):
+        member = design.member(k)
+        marks = "*" * (k == design.recommended) + ">" * (pick is not None and member == chosen)
+        marks += "!" * bool(few[member])
+        last = -float(design.front.f[member, 0])
+        named.append((f"{k} {marks}".strip(), rows[member], f"{last:.4g}"))
+    notes.append("*: recommended")
+    notes += [">: picked"] * (pick is not None)
+    notes += ["!: hardly any points"] * bool(few[design.clusters.representatives].any())
+    table = Table(title="Predicted", caption="; ".join(notes))
+    columns = ("rig", f"error / {units[0].name}", "angle / °", "coverage / %", "points")
+    for k, name in enumerate(
+        (*columns, "volume's edge / mm" if largest else f"spacing / {units[1].name}")
+    ):
+        table.add_column(name, justify="right" if k else "left")
+    for name, row, edge in named:
+        table.add_row(
+            name,
+            shown(units[0].per_mm * row["mu_mm"]),
+            f"{row['angle_deg']:.1f}",
+            f"{100.0 * row['eta']:.1f}",
+            str(row["n_points"]),
+            edge if largest else shown(units[1].per_mm * row["dispersion_mm"]),
+        )
+    return table
 
 
 def _reporter(report: Any, budget: int) -> Any:

@@ -387,3 +387,24 @@ def thesis_configurations(hardware: Hardware) -> Array | None:
         ours, other = getattr(hardware, name), getattr(theirs, name)
         same &= replace(ours, pose=other.pose) == other
     return read_configurations(path.with_name("table4.csv")) if same else None
+
+
+def own_configuration(content: dict[str, Any]) -> Array | None:
+    """Return the rig that a hardware file has itself, which a search starts from in thought.
+
+    Parameters
+    ----------
+    content : dict
+        Of the file, what it extends merged in.
+
+    Returns
+    -------
+    (1, 6) float or None
+        In mm and rad; None where the file states poses, or no rig.
+    """
+    rig = content.get("rig", {})
+    if not all(isinstance(rig.get(name), int | float) for name in VARIABLES):
+        return None
+    values = np.array([[float(rig[name]) for name in VARIABLES]])
+    values[:, 4:] = np.deg2rad(values[:, 4:])
+    return values

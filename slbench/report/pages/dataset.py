@@ -318,7 +318,7 @@ def _bars(sheet: Sheet, cell: Place, counts: Counter[str]) -> None:
     box = cell.within(left, 30.0, 14.0, 30.0)
     window = Window(box, (0.0, 1.05 * max(counts.values())), (len(chosen) - 0.5, -0.5))
     sheet.frame(box)
-    sheet.ticks(window, most=(3, 0))
+    sheet.ticks(window, most=(3, 0), counts=(True, True))
     for k, text in enumerate(chosen):
         n = counts[text]
         sheet.area(window.at([0.0, n, n, 0.0], [k - 0.35, k - 0.35, k + 0.35, k + 0.35]), "C0")
@@ -345,4 +345,4 @@ def _distribution(sheet: Sheet, cell: Place, values: Any, whole: bool, by_log: b
     window = Window(box, ends, (0.0, 1.05 * max(counts.max(), 1)), (by_log, False))
     sheet.area(window.at(*steps_of(counts, edges)), "C0", edgecolor="C0", linewidth=0.5)
     sheet.frame(box)
-    sheet.ticks(window, most=(4, 3))
+    sheet.ticks(window, most=(4, 3), counts=(False, True))

@@ -137,6 +137,12 @@ class Sheet:
         self.axes.set(xlim=(0.0, self.width), ylim=(self.height, 0.0))
         self.axes.set_axis_off()
 
+    def inset(self, place: Place) -> Any:
+        """Return matplotlib axes of their own at a place, for what is drawn in its own units."""
+        left, below = place.left / self.width, 1.0 - place.bottom / self.height
+        box = (left, below, place.width / self.width, place.height / self.height)
+        return self.figure.add_axes(box)
+
     # -- parts ------------------------------------------------------------------------------------
 
     def text(
@@ -277,6 +283,7 @@ class Sheet:
         *,
         most: tuple[int, int] = (5, 5),
         grid: bool = False,
+        counts: tuple[bool, bool] = (False, False),
     ) -> None:
         """Put round numbers along the lower and the left side of a window, and names beside them.
 
@@ -289,13 +296,17 @@ class Sheet:
             Intervals between numbers along x and y; 0 leaves them out.
         grid : bool
             Whether lines go all across.
+        counts : (bool, bool)
+            Whether x and y are whole numbers.
         """
-        box, marks, across = window.place, [], []
+        box, marks, across, longest = window.place, [], [], 0
         ends = ((window.x, window.logarithmic[0]), (window.y, window.logarithmic[1]))
         for axis, ((limits, by_log), count) in enumerate(zip(ends, most, strict=True)):
             if not count:
                 continue
             places = log_places(limits, count) if by_log else tick_places(limits, count)
+            if counts[axis]:
+                places = places[places == np.round(places)]
             texts = [plain(v) for v in places] if by_log else tick_texts(places)
             for value, text in zip(places, texts, strict=True):
                 if axis == 0:
@@ -304,7 +315,11 @@ class Sheet:
                     across.append([(x, y), (x, box.top)])
                     self.text(x, y + _TICK + 2.0, text, "tick", TICK_PT, ha="center")
                 else:
-                    x, y = box.left, window.at(window.x[0], value)[1]
+                    x, y, longest = (
+                        box.left,
+                        window.at(window.x[0], value)[1],
+                        max(longest, len(text)),
+                    )
                     marks.append([(x - _TICK, y), (x, y)])
                     across.append([(x, y), (box.right, y)])
                     place = (x - _TICK - 2.0, y)
@@ -317,9 +332,10 @@ class Sheet:
             middle, top = box.left + 0.5 * box.width, box.bottom + _TICK + 16.0
             self.text(middle, top, x_label, "label", ha="center")
         if y_label:
-            # Numbers on the left have up to four characters.
+            # Beyond the numbers, whose characters are some 6.5 px wide.
+            beyond = max(40.0, 18.0 + 6.5 * longest)
             turned: dict[str, Any] = {"rotation": "vertical", "ha": "center", "va": "center"}
-            self.text(box.left - 40.0, box.top + 0.5 * box.height, y_label, "label", **turned)
+            self.text(box.left - beyond, box.top + 0.5 * box.height, y_label, "label", **turned)
 
 
 def cells(count: int, columns: int, width: float, height: float, top: float = 0.0) -> list[Place]:
@@ -353,6 +369,12 @@ def limits_of(values: NDArray[Any], robust: float = 0.0) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def set_ticks(axis: Any, limits: tuple[float, float], most: int) -> None:
+    """Put round numbers within limits along an axis of matplotlib axes."""
+    places = tick_places(limits, most)
+    axis.set_ticks(places, tick_texts(places), fontsize=TICK_PT)
+
+
 def tick_places(limits: tuple[float, float], most: int) -> Array:
     """Return round numbers within limits, in at most so many intervals."""
     low, high = sorted(limits)
@@ -375,7 +397,7 @@ def log_places(limits: tuple[float, float], most: int) -> Array:
 
 def plain(value: float) -> str:
     """Return a number with three digits and a true minus sign."""
-    return f"{value + 0.0:.3g}".replace("-", "\u2212")
+    return f"{float(f'{value + 0.0:.3g}'):g}".replace("-", "\u2212")
 
 
 def tick_texts(places: Array) -> list[str]:
