@@ -21,8 +21,10 @@ from slbench.datasets.store.storage import Storage
 MANIFEST = "dataset.json"
 #: Folder of the files that the specification refers to.
 FILES = "files"
-#: Version of the layout.
-FORMAT = 1
+#: Version of the layout: since 2, truth is stored without what follows from the rig.
+FORMAT = 2
+#: Versions that are read.
+_READ = (1, 2)
 
 #: Arrow types that a column may have.
 Column = Literal["int64", "double", "string"]
@@ -117,8 +119,9 @@ class Manifest(Value):
         except ValueError as error:
             raise InputError(where, "a JSON file", error) from None
         found = values.get("format") if isinstance(values, dict) else None
-        if found != FORMAT:
-            raise InputError(f"{where}: format", str(FORMAT), repr(found))
+        if type(found) is not int or found not in _READ:
+            expected = " or ".join(map(str, _READ))
+            raise InputError(f"{where}: format", expected, repr(found))
         manifest = validated(cls, values, where, ": ")
         _check_parts(manifest, where)
         return manifest

@@ -1,7 +1,8 @@
 """Exact ground truth of one view: what each camera pixel's centre ray meets.
 
 Made by :mod:`slbench.simulate.render` in double precision; this module is the value and its file
-(EXR), usable without Mitsuba.
+(EXR), usable without Mitsuba.  The file holds all, for whoever reads EXR; or, where the rig stands
+beside it, what does not follow from the rig.
 """
 
 from __future__ import annotations
@@ -16,8 +17,17 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.io import read_exr, write_exr
 from slbench.core.show.display import block, share
+from slbench.rig import Camera, Rig
+from slbench.rig.opencv import read_rig
 
 Array = NDArray[np.float64]
+
+_AXES = "XYZ"
+#: Least cosine between a ray and the world axis of the coordinate that stands for its point: the
+#: others are then off by five times that one's rounding at most.
+_LEAST_COSINE = 0.2
+#: Pixels completed together: bounds the temporaries to some 100 MB.
+_PIXELS_PER_PASS = 1 << 19
 
 
 class Status(IntEnum):
@@ -109,25 +119,69 @@ class GroundTruth:
         smooth[1:-1, 1:-1] = core
         return smooth
 
-    def save(self, path: str | Path) -> None:
-        """Write as EXR (float32: 0.01 um at 100 mm, 1e-4 px at 1000 px)."""
-        channels: dict[str, NDArray] = {"depth.Z": self.depth.astype(np.float32)}
-        for axis, name in enumerate("XYZ"):
-            channels[f"point.{name}"] = self.point[..., axis].astype(np.float32)
-            channels[f"normal.{name}"] = self.normal[..., axis].astype(np.float32)
-        for axis, name in enumerate("uv"):
-            channels[f"panel.{name}"] = self.panel[..., axis].astype(np.float32)
-        channels["coc.camera"] = self.camera_coc.astype(np.float32)
-        channels["coc.projector"] = self.projector_coc.astype(np.float32)
+    def save(self, path: str | Path, rig: Rig | None = None) -> None:
+        """Write as EXR (float32: 0.01 um at 100 mm, 1e-4 px at 1000 px).
+
+        Parameters
+        ----------
+        path : str or Path
+        rig : Rig, optional
+            Camera and projector of this truth.  Then what follows from them is left out: of the
+            point one coordinate is kept, which the pixel's ray completes, and neither depth nor
+            panel coordinate nor circles of confusion.  The file is several times smaller.
+        """
+        channels: dict[str, NDArray] = {}
+        axis = None if rig is None else self._kept_axis(rig.camera)
+        if axis is None:
+            channels = self._derived_channels()
+        for k, name in enumerate(_AXES):
+            if axis in (None, k):
+                channels[f"point.{name}"] = self.point[..., k].astype(np.float32)
+            channels[f"normal.{name}"] = self.normal[..., k].astype(np.float32)
         channels["status"] = self.status.astype(np.uint32)
         # EXR integers are unsigned: 0 is "missed", object k is k + 1.
         channels["object"] = (self.object_id + 1).astype(np.uint32)
         write_exr(path, channels)
 
+    def _derived_channels(self) -> dict[str, NDArray]:
+        """Return the channels that follow from a point and the devices."""
+        channels: dict[str, NDArray] = {"depth.Z": self.depth.astype(np.float32)}
+        for k, name in enumerate("uv"):
+            channels[f"panel.{name}"] = self.panel[..., k].astype(np.float32)
+        channels["coc.camera"] = self.camera_coc.astype(np.float32)
+        channels["coc.projector"] = self.projector_coc.astype(np.float32)
+        return channels
+
+    def _kept_axis(self, camera: Camera) -> int | None:
+        """Return the world axis along which the camera looks, if all rays do well enough.
+
+        A coordinate along it is constant on what faces the camera squarely, so it deflates well,
+        and the ray's other coordinates are off by its rounding times the slope of the ray.
+        """
+        axis = int(np.argmax(np.abs(camera.pose.rotation[:, 2])))
+        point = self.point[self.object_id >= 0]
+        ray = point - camera.chief_origin(point)
+        steep = np.abs(ray[:, axis]) >= _LEAST_COSINE * np.linalg.norm(ray, axis=1)
+        return axis if bool(np.all(steep)) else None
+
     @classmethod
-    def load(cls, path: str | Path) -> GroundTruth:
-        """Read what :meth:`save` wrote."""
-        channels = read_exr(path)
+    def load(cls, path: str | Path, rig: Rig | None = None) -> GroundTruth:
+        """Read what :meth:`save` wrote.
+
+        Parameters
+        ----------
+        path : str or Path
+        rig : Rig, optional
+            Camera and projector that a file without what follows from them is completed with; by
+            default that of the ``rig.yaml`` beside it.
+
+        Raises
+        ------
+        InputError
+            If the file is damaged, lacks a channel, or is of another size than the rig's camera.
+        """
+        size = None if rig is None else (rig.camera.height, rig.camera.width)
+        channels = read_exr(path, size)
 
         def stack(group: str, names: str) -> Array:
             return np.stack([channel(f"{group}.{name}") for name in names], axis=-1)
@@ -137,13 +191,53 @@ class GroundTruth:
                 raise InputError(f"{path}: {name}", "this channel", sorted(channels))
             return np.asarray(channels[name], dtype=np.float64)
 
+        kept = [k for k, name in enumerate(_AXES) if f"point.{name}" in channels]
+        if len(kept) == 1:
+            coordinate = channel(f"point.{_AXES[kept[0]]}")
+            rig = read_rig(Path(path).with_name("rig.yaml")) if rig is None else rig
+            camera = rig.camera
+            if coordinate.shape != (camera.height, camera.width):
+                rows, columns = coordinate.shape
+                expected = f"the camera's {camera.width} x {camera.height} px"
+                raise InputError(path, expected, f"{columns} x {rows} px")
+            point, depth, panel, camera_coc, projector_coc = _completed(rig, kept[0], coordinate)
+        else:
+            point, depth = stack("point", _AXES), channel("depth.Z")
+            panel = stack("panel", "uv")
+            camera_coc, projector_coc = channel("coc.camera"), channel("coc.projector")
         return cls(
-            point=stack("point", "XYZ"),
-            normal=stack("normal", "XYZ"),
-            depth=channel("depth.Z"),
-            panel=stack("panel", "uv"),
+            point=point,
+            normal=stack("normal", _AXES),
+            depth=depth,
+            panel=panel,
             status=channel("status").astype(np.uint8),
             object_id=channel("object").astype(np.int32) - 1,
-            camera_coc=channel("coc.camera"),
-            projector_coc=channel("coc.projector"),
+            camera_coc=camera_coc,
+            projector_coc=projector_coc,
         )
+
+
+def _completed(rig: Rig, axis: int, coordinate: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Return what follows from one world coordinate of every pixel's point (V, U).
+
+    Points, depths, panel coordinates, circles of confusion of camera and projector.
+    """
+    camera, projector = rig.camera, rig.projector
+    shape = coordinate.shape
+    points, panel = np.empty((*shape, 3)), np.empty((*shape, 2))
+    depth, camera_coc, projector_coc = np.empty(shape), np.empty(shape), np.empty(shape)
+    step = max(1, _PIXELS_PER_PASS // shape[1])
+    for first in range(0, shape[0], step):
+        rows = slice(first, min(first + step, shape[0]))
+        v, u = np.mgrid[rows, 0 : shape[1]].astype(np.float64)
+        origins, directions = camera.unproject(np.stack((u, v), axis=-1))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            distance = (coordinate[rows] - origins[..., axis]) / directions[..., axis]
+        point = origins + distance[..., None] * directions
+        point[..., axis] = coordinate[rows]
+        points[rows] = point
+        depth[rows] = camera.pose.to_local(point)[..., 2]
+        panel[rows] = projector.project(point)
+        camera_coc[rows] = camera.circle_of_confusion(point)
+        projector_coc[rows] = projector.circle_of_confusion(point)
+    return points, depth, panel, camera_coc, projector_coc

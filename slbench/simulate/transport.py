@@ -32,6 +32,8 @@ Marginal = Literal["u", "v", "uv"]
 _TILE = 64
 #: Of a panel image's pixel on its way through the product: values, radiance, two copies.
 _PANEL_BYTES = 24
+#: Entries that 32 bits count.
+_MOST_INT32 = np.iinfo(np.int32).max
 #: Version of the file layout.
 _FORMAT = 1
 #: What a file may hold of use.
@@ -107,13 +109,22 @@ def _pack(columns, weights, indptr, indices, data):  # type: ignore[no-untyped-d
             data[start + i] = weights[p, i]
 
 
+def _row_starts(counts: NDArray[np.integer]) -> NDArray[np.signedinteger]:
+    """Return where rows of `counts` entries start, and the end: (rows + 1,)."""
+    total = int(counts.sum(dtype=np.int64))
+    kind = np.int32 if total <= _MOST_INT32 else np.int64
+    starts: NDArray[np.signedinteger] = np.zeros(counts.size + 1, kind)
+    np.cumsum(counts, dtype=starts.dtype, out=starts[1:])
+    return starts
+
+
 @dataclass(frozen=True)
 class SparseRows:
     """A block of matrix rows in CSR form.
 
     Parameters
     ----------
-    indptr : (rows + 1,) int64
+    indptr : (rows + 1,) int32, or int64 where there are more entries than that counts
     indices : (nonzeros,) uint16 or uint32
         Panel columns, ascending within a row.
     data : (nonzeros,) float32
@@ -121,7 +132,7 @@ class SparseRows:
         Columns of the matrix.
     """
 
-    indptr: NDArray[np.int64]
+    indptr: NDArray[np.signedinteger]
     indices: NDArray[np.unsignedinteger]
     data: NDArray[np.float32]
     width: int
@@ -140,10 +151,10 @@ class SparseRows:
             Samples of zero weight are dropped.
         width : int
         """
-        counts = np.empty(columns.shape[0], np.int64)
+        counts = np.empty(columns.shape[0], np.int32)
         # More chunks than threads, so that bright and dark regions even out.
         _merge(columns, weights, width, counts, 4 * get_num_threads())
-        indptr = np.concatenate(([0], np.cumsum(counts)))
+        indptr = _row_starts(counts)
         indices = np.empty(indptr[-1], columns.dtype)
         data = np.empty(indptr[-1], np.float32)
         _pack(columns, weights, indptr, indices, data)
@@ -154,7 +165,7 @@ class SparseRows:
         """Stack blocks of rows, emptying `blocks`: pages are touched as blocks are freed."""
         width = blocks[0].width
         lengths = np.concatenate([np.diff(block.indptr) for block in blocks])
-        indptr = np.concatenate(([0], np.cumsum(lengths)))
+        indptr = _row_starts(lengths)
         indices = np.empty(indptr[-1], blocks[0].indices.dtype)
         data = np.empty(indptr[-1], np.float32)
         start = 0
@@ -356,8 +367,10 @@ class LightTransport:
             if f"{name}_counts" not in arrays:
                 continue
             counts = _checked(path, arrays, f"{name}_counts", "u", 1)
-            indptr = np.concatenate(([0], np.cumsum(counts, dtype=np.int64)))
             indices = _checked(path, arrays, f"{name}_indices", "u", 1)
+            if int(counts.max(initial=0)) > indices.size:  # before sums of them can overflow
+                raise InputError(f"{path}: {name}", "a consistent sparse matrix", "a damaged one")
+            indptr = _row_starts(counts)
             data = _checked(path, arrays, f"{name}_data", "f", 1).astype(np.float32, copy=False)
             consistent = (
                 indptr.size == ambient.size + 1

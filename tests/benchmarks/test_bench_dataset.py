@@ -19,6 +19,7 @@ from slbench.datasets.store.sample import RIG, SCENE, TRANSPORT, TRUTH, from_fol
 from slbench.datasets.store.storage import Storage
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene
+from slbench.scene.truth import GroundTruth
 
 PATTERNS = "1,8,64@4"  # 12 frames
 COPIES = 8
@@ -33,7 +34,7 @@ def made(tmp_path_factory):
     (folder / SCENE).write_text(tomli_w.dumps(scene.specification))
     write_rig(folder / RIG, scene.rig)
     write_transport(folder / TRANSPORT, light)
-    ground_truth(scene).save(folder / TRUTH)
+    ground_truth(scene).save(folder / TRUTH, scene.rig)
     runs = [shards.pack(k, from_folder(folder)) for k in range(COPIES)]
     storage = Storage(str(tmp_path_factory.mktemp("data")))
     fields = dict.fromkeys(("name", "description", "licence"), "bench")
@@ -85,6 +86,27 @@ def test_capture_time(benchmark, made):
     wanted = capture(made[1], made[2], seed=3).frames
     np.testing.assert_array_equal(sample.capture(PATTERNS, seed=3).frames, wanted)
     benchmark(sample.capture, PATTERNS, seed=3)
+
+
+@pytest.mark.slow
+def test_what_follows_from_the_rig_is_not_stored(made, tmp_path):
+    sample = made[0][0]
+    truth = sample.truth
+    truth.save(tmp_path / "all.exr")
+    kept, whole = len(sample.member(TRUTH)), (tmp_path / "all.exr").stat().st_size
+    size = sample.row["size"]
+    ratio = size / (size - kept + whole)
+
+    def seconds(path, *rig):
+        return best_of(lambda: GroundTruth.load(path, *rig), 3)
+
+    (tmp_path / TRUTH).write_bytes(sample.member(TRUTH))
+    completed, read = seconds(tmp_path / TRUTH, sample.rig), seconds(tmp_path / "all.exr")
+    print(
+        f"\ntruth {kept / 1e6:.2f} MB instead of {whole / 1e6:.2f}, the sample without frames "
+        f"{ratio:.2f} of it; read and completed in {1e3 * completed:.0f} ms, read {1e3 * read:.0f}"
+    )
+    assert ratio < 0.7
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import gc
 import io
+import json
 import pickle
 import shutil
 import tarfile
@@ -147,6 +148,39 @@ class TestParts:
             "height_mm": small.height(number),
             "ambient": small.ambient(number),
         }
+
+    def test_truth_follows_from_what_is_stored(self, data):
+        for number in range(len(data)):
+            made = small.result_of(READY[number]).truth
+            found = data[number].truth
+            np.testing.assert_array_equal(found.object_id, made.object_id)
+            # Heights below 32 mm are stored to 1e-6 mm, and rays lean by 45 degrees at most.
+            np.testing.assert_allclose(found.point, made.point, rtol=0, atol=2e-6)
+            np.testing.assert_allclose(found.depth, made.depth, rtol=0, atol=2e-6)
+            np.testing.assert_allclose(found.normal, made.normal, rtol=0, atol=1e-7)
+            # Some 10 px/mm at most.
+            np.testing.assert_allclose(found.panel, made.panel, rtol=0, atol=2e-5)
+            for name in ("camera_coc", "projector_coc"):
+                np.testing.assert_allclose(getattr(found, name), getattr(made, name), atol=1e-6)
+
+    def test_the_first_layout_is_read(self, data, tmp_path):
+        """It held what follows too, in single precision."""
+        old = datasets.open_dataset(small.write_dataset(tmp_path / "old", layout=1))
+        assert old.manifest.format == 1
+        for name in ("point", "depth", "panel"):
+            first, second = (getattr(one[1].truth, name) for one in (old, data))
+            # 2^-24 of 800 mm or px is 5e-5.
+            np.testing.assert_allclose(first, second, rtol=0, atol=1e-4)
+        np.testing.assert_array_equal(old[1].frames, data[1].frames)
+        assert len(data[1].member("truth.exr")) < 0.4 * len(old[1].member("truth.exr"))
+
+    @pytest.mark.parametrize("layout", [0, 3, "2", 2.0, True, None])
+    def test_other_layouts_are_refused(self, layout, copy):
+        path = copy / "dataset.json"
+        values = json.loads(path.read_text())
+        path.write_text(json.dumps({**values, "format": layout}))
+        line = refusal(lambda: datasets.open_dataset(copy))
+        assert f"dataset.json: format: expected 1 or 2, got {layout!r}" in line
 
     def test_light_transport_alone(self, tmp_path):
         item = datasets.open_dataset(small.write_dataset(tmp_path / "bare", frames=False))[0]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from slbench.datasets.manifest import MANIFEST, Manifest
+from slbench.datasets.manifest import FORMAT, MANIFEST, Manifest
 from slbench.datasets.store import index, sample, shards
 from slbench.datasets.store.storage import Storage
 from slbench.rig.opencv import write_rig
@@ -80,15 +80,15 @@ def result_of(number: int) -> Scan:
         return scan(load_scene(path), seed=seed_of(number))
 
 
-def members(number: int, frames: bool = True) -> dict[str, bytes]:
-    """Return a sample's files."""
+def members(number: int, frames: bool = True, layout: int = FORMAT) -> dict[str, bytes]:
+    """Return a sample's files; the first layout held the whole truth."""
     result = result_of(number)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / sample.SCENE).write_text(tomli_w.dumps(specification(number)))
         write_rig(folder / sample.RIG, result.scene.rig)
         sample.write_transport(folder / sample.TRANSPORT, result.transport)
-        result.truth.save(folder / sample.TRUTH)
+        result.truth.save(folder / sample.TRUTH, result.scene.rig if layout > 1 else None)
         score = {"captures": {"p0r0": result.score.to_dict()} if frames else {}}
         (folder / sample.SCORE).write_text(json.dumps(score, default=float))
         (folder / sample.PROVENANCE).write_text("{}")
@@ -98,12 +98,12 @@ def members(number: int, frames: bool = True) -> dict[str, bytes]:
 
 
 @functools.cache
-def packed(number: int, frames: bool) -> bytes:
-    return shards.pack(number, members(number, frames))
+def packed(number: int, frames: bool, layout: int) -> bytes:
+    return shards.pack(number, members(number, frames, layout))
 
 
-def write_dataset(folder: Path, frames: bool = True) -> Path:
-    """Write the data set to `folder` and return it."""
+def write_dataset(folder: Path, frames: bool = True, layout: int = FORMAT) -> Path:
+    """Write the data set to `folder` in a layout's version, and return it."""
     drawn = index.columns(DRAWN, ["p0r0"] if frames else [])
     stored = {"p0r0": {"sequence": PATTERNS, "shifts": 3, "axes": "u", "repeats": 1}}
     patterns = stored if frames else {}
@@ -121,6 +121,7 @@ def write_dataset(folder: Path, frames: bool = True) -> Path:
         environment={},
         specification={},
         files={},
+        format=layout,
     )
     storage = Storage(str(folder))
     manifest.save(storage)
@@ -133,7 +134,7 @@ def write_dataset(folder: Path, frames: bool = True) -> Path:
             row |= {"status": index.FAILED, "reason": "no lit pixels"}
             continue
         shard = manifest.shard_of(number)
-        run = packed(number, frames)
+        run = packed(number, frames, layout)
         result = result_of(number)
         row |= {
             "status": index.OK,

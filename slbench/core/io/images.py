@@ -55,13 +55,16 @@ def write_exr(path: str | Path, channels: Mapping[str, ArrayLike]) -> None:
         OpenEXR.File(header, pixels).write(str(temporary))
 
 
-def read_exr(path: str | Path) -> dict[str, NDArray[Any]]:
+def read_exr(path: str | Path, shape: tuple[int, int] | None = None) -> dict[str, NDArray[Any]]:
     """Read every channel of a single-part EXR.
 
     Parameters
     ----------
     path : str or Path
         The file.
+    shape : (int, int), optional
+        What its (V, U) must be, where that is known: then it may be as large as that whatever
+        its file's size.
 
     Returns
     -------
@@ -71,7 +74,7 @@ def read_exr(path: str | Path) -> dict[str, NDArray[Any]]:
     Raises
     ------
     InputError
-        If the file is missing, corrupt, or has subsampled channels.
+        If the file is missing, corrupt, of another shape, or has subsampled channels.
     """
     path = existing(path)
     with path.open("rb") as stream:
@@ -81,7 +84,10 @@ def read_exr(path: str | Path) -> dict[str, NDArray[Any]]:
         header = OpenEXR.File(str(path), separate_channels=True, header_only=True).header()
         low, high = (np.asarray(corner, dtype=np.int64) for corner in header["dataWindow"])
         width, height = (int(n) for n in high - low + 1)
-        check_image(path, width, height, 4 * len(header["channels"]))
+        if shape is None:
+            check_image(path, width, height, 4 * len(header["channels"]))
+        elif shape != (height, width):
+            raise InputError(path, f"{shape[1]} x {shape[0]} px", f"{width} x {height} px")
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
         images = {name: channel.pixels for name, channel in channels.items()}
     except InputError:

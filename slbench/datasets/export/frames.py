@@ -54,7 +54,7 @@ def write_frames(data: Dataset, recipe: Recipe, folder: Path) -> Iterator[int]:
         scale = depth_scale(depth)
         write_png(target / "depth.png", scaled_depth(depth, scale))
         write_png(target / "mask.png", np.where(item.truth.lit, 255, 0).astype(np.uint8))
-        (target / "truth.exr").write_bytes(item.member(members.TRUTH))
+        item.truth.save(target / members.TRUTH)
         values = {
             "depth_scale_mm": scale,
             "sample": item.number,

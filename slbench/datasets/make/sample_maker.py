@@ -192,7 +192,7 @@ def _measure(
     if any(block.data.size == 0 for block in transport.marginals.values()):
         raise InputError("light transport", "light on the object", "none")
     write_transport(folder / TRANSPORT, transport)
-    truth.save(folder / TRUTH)
+    truth.save(folder / TRUTH, scene.rig)
     captures: dict[str, Any] = {}
     floors: dict[int, float] = {}
     for prefix, posed in scenes.items():

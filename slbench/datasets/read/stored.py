@@ -110,7 +110,7 @@ class Sample:
     @cached_property
     def truth(self) -> GroundTruth:
         """Its ground truth."""
-        return self._read(sample.TRUTH, GroundTruth.load)
+        return self._read(sample.TRUTH, partial(GroundTruth.load, rig=self.rig))
 
     @cached_property
     def rig(self) -> Rig:

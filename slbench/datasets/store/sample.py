@@ -2,8 +2,11 @@
 
 ``scene.toml``
     The complete scene; meshes and modules that it names stand beside it.
-``rig.yaml``, ``transport.npz``, ``truth.exr``
+``rig.yaml``, ``transport.npz``
     As :func:`slbench.simulate.folder.write_scan` writes them; the transport is deflated.
+``truth.exr``
+    Of each pixel's point one world coordinate, normal, status and object; the rest follows from
+    them and the rig (:meth:`slbench.scene.truth.GroundTruth.load`).
 ``score.json``
     Statistics of the sample, and the score of each capture.
 ``provenance.json``

@@ -22,7 +22,7 @@ from slbench.datasets.manifest import Manifest
 from slbench.datasets.spec.distributions import column
 from slbench.datasets.spec.specification import from_dict
 from slbench.datasets.store import index
-from slbench.datasets.store.sample import REQUIRED, TRANSPORT, TRUTH, unpacked
+from slbench.datasets.store.sample import REQUIRED, RIG, TRANSPORT, TRUTH, unpacked
 from slbench.datasets.store.shards import unpack
 from slbench.datasets.store.storage import Storage
 from slbench.report.plots.layout import (
@@ -210,7 +210,7 @@ def _seen(storage: Storage, row: Row) -> tuple[Any, Any, int]:
         if name not in members:
             raise InputError(where, name, "no such file")
     frames = sum(len(value) for name, value in members.items() if name.endswith(".png"))
-    kept = {name: members[name] for name in (TRANSPORT, TRUTH)}
+    kept = {name: members[name] for name in (TRANSPORT, TRUTH, RIG)}
     with unpacked(kept) as folder:
         white = LightTransport.load(folder / TRANSPORT).white()
         truth = GroundTruth.load(folder / TRUTH)

@@ -1,5 +1,7 @@
 """Ground truth against rays met with planes and spheres on paper."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from slbench.core.io import read_exr, write_exr
 from slbench.objects import Artefact, Mesh
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
+from slbench.rig.opencv import write_rig
 from slbench.scene.model import Scene, SceneObject
 from slbench.scene.truth import GroundTruth, Status
 
@@ -362,6 +365,68 @@ def test_exr_keeps_the_truth_to_single_precision(tmp_path):
         )
     channels = read_exr(tmp_path / "truth.exr")
     assert {"point.X", "normal.Z", "panel.u", "depth.Z", "status", "object"} <= set(channels)
+
+
+MAPS = ("point", "normal", "depth", "panel", "camera_coc", "projector_coc")
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_exr_without_what_follows_from_the_rig(name, tmp_path):
+    rig = RIGS[name]
+    truth = ground_truth(scene_of(rig, plate((60.0, 50.0)), SceneObject(BALL)))
+    truth.save(tmp_path / "all.exr")
+    truth.save(tmp_path / "truth.exr", rig)
+    assert set(read_exr(tmp_path / "truth.exr")) == {
+        *("point.Z", "normal.X", "normal.Y", "normal.Z", "status", "object")
+    }
+    size = (tmp_path / "truth.exr").stat().st_size
+    assert size < 0.4 * (tmp_path / "all.exr").stat().st_size
+    write_rig(tmp_path / "rig.yaml", rig)
+    given, beside = (GroundTruth.load(tmp_path / "truth.exr", *more) for more in ((rig,), ()))
+    whole = GroundTruth.load(tmp_path / "all.exr", rig)
+    for again in (given, beside):
+        np.testing.assert_array_equal(again.status, whole.status)
+        np.testing.assert_array_equal(again.object_id, whole.object_id)
+        np.testing.assert_array_equal(again.normal, whole.normal)
+        np.testing.assert_array_equal(again.point[..., 2], whole.point[..., 2])
+        # Heights below 16 mm are off by 5e-7 mm; rays lean by 45 degrees at most, so that the
+        # others are no further off, and no angle of a device turns 1e-6 mm into 1e-5 px.
+        np.testing.assert_allclose(again.point, truth.point, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(again.depth, truth.depth, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(again.panel, truth.panel, rtol=0, atol=1e-5)
+        for coc in ("camera_coc", "projector_coc"):
+            np.testing.assert_allclose(getattr(again, coc), getattr(truth, coc), atol=1e-6)
+    for one in MAPS:
+        lost = np.isnan(getattr(given, one)) != np.isnan(getattr(truth, one))
+        assert not lost.any()
+
+
+def test_exr_of_rays_along_the_plane_keeps_all(tmp_path):
+    """A ray at right angles to the axis of the stored coordinate is not met by it."""
+    rig = RIGS["thin lenses"]
+    truth = ground_truth(scene_of(rig, plate()))
+    aside = Pose.looking_at((0.0, 40.0, 380.0), (380.0, 40.0, 20.0), (0, -1, 0))
+    wide = replace(rig.camera, pose=aside, pitch_mm=(0.6, 0.6))
+    origins, directions = wide.unproject(wide.pixel_grid())
+    assert np.abs(directions).max(axis=(0, 1)).min() < 1.0
+    points = origins + 300.0 * directions
+    moved = replace(truth, point=points, object_id=np.zeros_like(truth.object_id))
+    moved.save(tmp_path / "truth.exr", rig.having(camera=wide))
+    assert {"point.X", "point.Y", "point.Z", "depth.Z"} <= set(read_exr(tmp_path / "truth.exr"))
+
+
+def test_exr_of_another_camera_is_refused(tmp_path):
+    rig = RIGS["thin lenses"]
+    path = tmp_path / "truth.exr"
+    ground_truth(scene_of(rig, plate())).save(path, rig)
+    other = rig.having(camera=replace(rig.camera, width=81))
+    with pytest.raises(InputError, match=r"truth\.exr: expected 81 x 60 px, got 80 x 60"):
+        GroundTruth.load(path, other)
+    with pytest.raises(InputError, match=r"rig\.yaml: expected"):
+        GroundTruth.load(path)
+    write_rig(tmp_path / "rig.yaml", other)
+    with pytest.raises(InputError, match="expected the camera's 81 x 60 px, got 80 x 60"):
+        GroundTruth.load(path)
 
 
 def test_an_exr_without_a_channel_is_refused(tmp_path):
