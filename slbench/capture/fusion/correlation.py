@@ -1,14 +1,14 @@
 """Maximisation of the enhanced correlation coefficient of two pictures, coarse to fine.
 
 G. D. Evangelidis, E. Z. Psarakis, "Parametric image alignment using enhanced correlation
-coefficient maximization", IEEE TPAMI 30(10), 2008, in the inverse compositional form (S. Baker,
-I. Matthews, "Lucas-Kanade 20 years on", IJCV 56(3), 2004): with the template's gradients J, the
-step of the template's own motion that maximises the correlation with the moved image I is
+coefficient maximization", IEEE TPAMI 30(10), 2008, with steps that are composed with the motion
+so far (S. Baker, I. Matthews, "Lucas-Kanade 20 years on", IJCV 56(3), 2004): with I the image
+moved onto the template T and J its gradients there, the step that maximises the correlation is
 
-    H^-1 J^T (lambda I - T),   H = J^T J,   lambda = (T^T T - T^T P T) / (I^T T - I^T P T),
+    H^-1 J^T (lambda T - I),   H = J^T J,   lambda = (I^T I - I^T P I) / (T^T I - T^T P I),
 
-``P = J H^-1 J^T``, all without their means over the pixels that both show.  It is undone on the
-image.  As the gradients are the template's, an iteration interpolates one picture, not three.
+``P = J H^-1 J^T``, all without their means over the pixels that both show.  The image is
+interpolated and its products are summed in one pass, row by row.
 """
 
 from dataclasses import dataclass
@@ -22,10 +22,12 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 _COARSEST = 64  # pixels: the longer side at the first level is less than twice as long
-_SMOOTHING = 5  # pixels: side of the Gaussian that the pictures are smoothed with
+_SMOOTHING = 3  # pixels: side of the Gaussian that the pictures are smoothed with
 _STEPS = 50  # most iterations a level
 _STILL = 1e-3  # pixels: a step that moves no corner by more is the last
+_LEAST_DEPTH = 0.1  # of a corner in perspective; what goes beyond has run away
 _LEAST_SHARE = 0.25  # of the template that must lie within the image
+_WORST_CONDITION = 1e10  # of H, scaled to a diagonal of 1: no texture in some direction
 #: Parameters of each motion: how often (x, y, 1) and the perspective terms come in.
 PARAMETERS = {"translation": 2, "affine": 6, "homography": 8}
 
@@ -118,9 +120,9 @@ def improved(
             best = (from_level @ moved @ to_level, correlation)
         change = _matrix(step)
         shifted = change @ corners
-        if not (shifted[2] > 0.1).all():
+        if not (shifted[2] > _LEAST_DEPTH).all():
             break
-        moved = moved @ from_unit @ np.linalg.inv(change) @ to_unit
+        moved = moved @ from_unit @ change @ to_unit
         moved /= moved[2, 2]
         if np.abs(shifted[:2] / shifted[2] - corners[:2]).max() * reach < _STILL:
             break
@@ -128,7 +130,7 @@ def improved(
 
 
 def _step(sums: FloatArray, parameters: int) -> tuple[FloatArray | None, float]:
-    """Return the step in the template's parameters, and the correlation ahead of it.
+    """Return the step, or None where it is not determined, and the correlation ahead of it.
 
     `sums` (k + 3, k + 3) are those of the products of J, T, I and 1.
     """
@@ -145,15 +147,11 @@ def _step(sums: FloatArray, parameters: int) -> tuple[FloatArray | None, float]:
     if np.linalg.cond(scaled) > _WORST_CONDITION:
         return None, 0.0
     solved = np.linalg.solve(scaled, toward / size[:, None]) / size[:, None]
-    over = tt - toward[:, 0] @ solved[:, 0]
-    under = ti - toward[:, 1] @ solved[:, 0]
-    # Where what J cannot explain does not correlate, the least squares of I on T and J.
-    gain = over / under if under > 0 else tt / ti if ti > 0 else np.sqrt(tt / ii)
-    return gain * solved[:, 1] - solved[:, 0], correlation
-
-
-#: Of the products of J, each scaled to 1: pictures without texture in some direction.
-_WORST_CONDITION = 1e10
+    over = ii - toward[:, 1] @ solved[:, 1]
+    under = ti - toward[:, 0] @ solved[:, 1]
+    # Where what J cannot explain does not correlate, the ratio of the contrasts.
+    gain = over / under if under > 0 else np.sqrt(ii / tt)
+    return gain * solved[:, 0] - solved[:, 1], correlation
 
 
 def _matrix(step: FloatArray) -> FloatArray:
@@ -169,31 +167,50 @@ def _matrix(step: FloatArray) -> FloatArray:
 
 @njit(cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"}, error_model="numpy")
 def _accumulate(template, image, moved, centre, reach, parameters, sums):  # type: ignore[no-untyped-def]
-    """Add the products of gradients by parameters, template, image and 1; the upper triangle twice.
+    """Write the sums of products of gradients by parameters, template, image and 1.
 
     `moved` takes pixels of the template to those of the image; pixels whose place is outside
-    the image, and the template's border, are left out.
+    the image or on its border are left out.
     """
     height, width = template.shape
     rows, columns = image.shape
     size = parameters + 3
     line = np.empty((size, width))
-    for v in range(1, height - 1):
+    for v in range(height):
         count = 0
         y = (v - centre[1]) / reach
-        for u in range(1, width - 1):
+        for u in range(width):
             scale = moved[2, 0] * u + moved[2, 1] * v + moved[2, 2]
             s = (moved[0, 0] * u + moved[0, 1] * v + moved[0, 2]) / scale
             t = (moved[1, 0] * u + moved[1, 1] * v + moved[1, 2]) / scale
-            if not (s >= 0.0 and s < columns - 1 and t >= 0.0 and t < rows - 1):
+            if not (s >= 1.0 and s < columns - 2 and t >= 1.0 and t < rows - 2):
                 continue
             i, j = int(t), int(s)
             p, q = s - j, t - i
             above = image[i, j] + p * (image[i, j + 1] - image[i, j])
             below = image[i + 1, j] + p * (image[i + 1, j + 1] - image[i + 1, j])
             x = (u - centre[0]) / reach
-            gx = 0.5 * reach * (template[v, u + 1] - template[v, u - 1])
-            gy = 0.5 * reach * (template[v + 1, u] - template[v - 1, u])
+            # Central differences of the image, interpolated, and turned into the template's axes.
+            du = (1.0 - q) * (
+                (1.0 - p) * (image[i, j + 1] - image[i, j - 1])
+                + p * (image[i, j + 2] - image[i, j])
+            ) + q * (
+                (1.0 - p) * (image[i + 1, j + 1] - image[i + 1, j - 1])
+                + p * (image[i + 1, j + 2] - image[i + 1, j])
+            )
+            dv = (1.0 - q) * (
+                (1.0 - p) * (image[i + 1, j] - image[i - 1, j])
+                + p * (image[i + 1, j + 1] - image[i - 1, j + 1])
+            ) + q * (
+                (1.0 - p) * (image[i + 2, j] - image[i, j])
+                + p * (image[i + 2, j + 1] - image[i, j + 1])
+            )
+            su = (moved[0, 0] - moved[2, 0] * s) / scale
+            sv = (moved[0, 1] - moved[2, 1] * s) / scale
+            tu = (moved[1, 0] - moved[2, 0] * t) / scale
+            tv = (moved[1, 1] - moved[2, 1] * t) / scale
+            gx = 0.5 * reach * (su * du + tu * dv)
+            gy = 0.5 * reach * (sv * du + tv * dv)
             if parameters == 2:
                 line[0, count], line[1, count] = gx, gy
             else:
