@@ -27,6 +27,7 @@ from slbench.capture.focus import Focus
 from slbench.capture.fusion import Alignment, FusionWeights, align, selective_weights
 from slbench.capture.fusion.measures import check_window
 from slbench.capture.fusion.photographs import FusionMethod
+from slbench.capture.fusion.stack import Banded, Held
 from slbench.core import resources
 from slbench.core.errors import InputError, located
 from slbench.core.io import OutputFolder, read_grey, read_toml, write_exr, write_toml
@@ -377,6 +378,22 @@ class _Frames(Sequence[Array]):
             return (frame >= self._saturation).astype(np.float64)
         return frame * self._scale
 
+    def banded(self) -> Banded:
+        """Return the same by bands of rows; the frames are held as deep as they are."""
+        frames = [self._stack.frame(setting, self._index) for setting in range(len(self))]
+        return _FrameBands(frames, self._scale)
+
+
+class _FrameBands(Held):
+    """One pattern at all settings by bands of rows, times `scale`."""
+
+    def __init__(self, frames: Sequence[NDArray[Any]], scale: float) -> None:
+        super().__init__(frames)
+        self._scale = scale
+
+    def rows(self, index: int, top: int, bottom: int) -> NDArray[Any]:
+        return super().rows(index, top, bottom) * self._scale
+
 
 def modulation_weights(stack: FocusStack, window: int = 9) -> FusionWeights:
     """Weight the settings by their modulation of the finest fringes.
@@ -403,22 +420,29 @@ def modulation_weights(stack: FocusStack, window: int = 9) -> FusionWeights:
     if finest is None:
         raise InputError("focus stack", "fringes, for weights by modulation", sequence.name)
     check_window(window, 1)
-    waves: list[NDArray[np.complex64]] = []
+    waves: list[Any] = []  # the largest thing here: eight bytes a pixel and setting
     for setting in range(len(stack)):
         frames = np.stack([stack.frame(setting, k) for k in finest.frames])
         phase, modulation, _ = finest.code.relative_phase(frames)
         waves.append((modulation * np.exp(1j * phase)).astype(np.complex64))
-    strength = np.abs(waves)
-    best = np.argmax(strength, axis=0)
-    reference = np.take_along_axis(np.array(waves), best[np.newaxis], axis=0)[0]
+    reference, strongest = waves[0].copy(), np.abs(waves[0])
+    best = np.zeros(reference.shape, dtype=np.intp)
+    for setting, wave in enumerate(waves[1:], 1):
+        strength = np.abs(wave)
+        better = strength > strongest
+        best[better], strongest[better] = setting, strength[better]
+        reference[better] = wave[better]
     reference = np.conj(reference) / np.maximum(np.abs(reference), 1e-12)
-    in_step = np.stack(
-        [cv2.blur((wave * reference).real, (window, window)).clip(min=0.0) for wave in waves]
-    )
-    peak = np.max(in_step, axis=0)
+    peak = np.zeros(reference.shape, dtype=np.float32)
+    for setting, wave in enumerate(waves):
+        in_step = cv2.blur((wave * reference).real, (window, window)).clip(min=0.0)
+        waves[setting] = in_step  # and the wave is let go
+        np.maximum(peak, in_step, out=peak)
     seen = peak > _DARK
-    in_step = np.where(seen, in_step / np.where(seen, peak, 1.0), 1.0)
-    weights = np.rint(_FULL * in_step).astype(np.uint16)
+    largest = np.where(seen, peak, 1.0)
+    weights = np.empty((len(waves), *peak.shape), dtype=np.uint16)
+    for setting, in_step in enumerate(waves):
+        weights[setting] = np.rint(_FULL * np.where(seen, in_step / largest, 1.0))
     nowhere = np.full(peak.shape, np.nan)
     return FusionWeights(weights, np.where(seen, best, np.nan), nowhere)
 

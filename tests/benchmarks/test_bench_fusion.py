@@ -2,11 +2,12 @@
 
 import time
 
+import cv2
 import numpy as np
 import pytest
 import reference_fusion
 
-from slbench.capture.fusion import selective_weights
+from slbench.capture.fusion import align, selective_weights
 
 COUNT, SIDE = 10, 512
 
@@ -61,3 +62,51 @@ def test_thirty_large_frames(benchmark):
     stack = [base[:, p : p + 2048] for p in range(30)]
     image = benchmark.pedantic(fused, (stack,), rounds=3, warmup_rounds=1)
     assert np.isfinite(image).all()
+
+
+def opencv_alignment(stack, middle):
+    """OpenCV's search at one size, each frame from its neighbour's motion."""
+    small = [cv2.resize(frame, (1024, 1024), interpolation=cv2.INTER_AREA) for frame in stack]
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-7)
+    found = {middle: np.eye(2, 3, dtype=np.float32)}
+    outwards = [(p, p - 1) for p in range(middle + 1, len(stack))]
+    outwards += [(p, p + 1) for p in range(middle - 1, -1, -1)]
+    for p, start in outwards:
+        affine = cv2.MOTION_AFFINE
+        guess = found[start].copy()
+        _, found[p] = cv2.findTransformECC(
+            small[middle], small[p], guess, affine, criteria, None, 5
+        )
+    return found
+
+
+def test_alignment_takes_a_fraction_of_opencvs_time():
+    """Processor time, so that what else runs counts little, at equal resolution of the search."""
+    rng = np.random.default_rng(0)
+    clouds = sum(
+        np.sqrt(s) * cv2.resize(rng.normal(size=(1200 // s, 1200 // s)), (1200, 1200))
+        for s in (1, 2, 4, 8, 16)
+    )
+    scene = 110 + 35 * clouds / clouds.std()
+    stack = []
+    for p in range(7):
+        scale = 1.0 + 0.004 * (p - 3)
+        source = np.array([[scale, 0, 60 + 2.0 * p], [0, scale, 60 - p]])
+        flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        blurred = cv2.GaussianBlur(scene, (0, 0), 0.5 + abs(p - 3))
+        image = cv2.warpAffine(blurred, source, (1024, 1024), flags=flags)
+        noisy = image + 2.0 * rng.normal(size=image.shape)
+        stack.append(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    align(stack, motion="affine")  # compiles
+    start = time.process_time()
+    found = align(stack, motion="affine")
+    own_s = time.process_time() - start
+    start = time.process_time()
+    other = opencv_alignment(stack, 3)
+    opencv_s = time.process_time() - start
+    print(f"\n{own_s:.2f} s, OpenCV {opencv_s:.2f} s: ratio {opencv_s / own_s:.1f}")
+    corners = np.array([[0, 0, 1], [1023, 0, 1], [0, 1023, 1], [1023, 1023, 1.0]]).T
+    for p, matrix in other.items():
+        apart = (found.transforms[p] @ corners)[:2] - matrix @ corners
+        assert np.abs(apart).max() < 0.2  # the same maximum, to what noise and blur leave
+    assert opencv_s / own_s > 1.5  # about 3

@@ -12,7 +12,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from slbench.capture.fusion.correlation import PARAMETERS, Level, improved, levels
-from slbench.capture.fusion.stack import Stack, each_frame, frames
+from slbench.capture.fusion.stack import Banded, Stack, banded, each_frame, frames
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 
@@ -91,30 +91,67 @@ class _Aligned:
         _warp(layers, np.ascontiguousarray(transform, np.float64), warped)
         return warped.reshape(frame.shape)
 
+    def banded(self) -> Banded:
+        """Return the same by bands of rows."""
+        return _AlignedBands(banded(self.stack, colour=True), self.transforms)
+
+
+class _AlignedBands:
+    """Aligned frames by bands: of the frames as they are, only the rows that a band shows."""
+
+    def __init__(self, whole: Banded, transforms: FloatArray) -> None:
+        self._whole, self.shape = whole, whole.shape
+        self._transforms = np.ascontiguousarray(transforms, np.float64)
+
+    def __len__(self) -> int:
+        return len(self._whole)
+
+    def rows(self, index: int, top: int, bottom: int) -> NDArray[np.float32]:
+        height, width = self.shape[:2]
+        transform = self._transforms[index]
+        if np.array_equal(transform, np.eye(3)):
+            return self._whole.rows(index, top, bottom).astype(np.float32)
+        # Lines stay lines: the corners' places are the extremes, where none is at infinity.
+        u, v = np.array([0, width - 1, 0, width - 1]), np.array([top, top, bottom, bottom])
+        place = transform @ np.stack((u, v, np.ones(4)))
+        first, last = 0, height
+        if (place[2] > 0).all():
+            y = np.clip(place[1] / place[2], -1.0, height)
+            first = int(np.clip(np.floor(y.min()) - _NODES, 0, height - 1))
+            last = int(np.clip(np.ceil(y.max()) + _NODES, first + 1, height))
+        part = self._whole.rows(index, first, last).astype(np.float32)
+        layers = part.reshape(*part.shape[:2], -1)
+        out = np.empty((bottom - top, *layers.shape[1:]), np.float32)
+        _warp_band(layers, first, height, transform, top, out)
+        return out.reshape(bottom - top, *self.shape[1:])
+
 
 @njit(parallel=True, cache=True, nogil=True, error_model="numpy")
 def _warp(image: Any, transform: Any, out: Any) -> None:
     """out[v, u] = image at the place to which `transform` takes (u, v); borders are replicated."""
     for v in prange(image.shape[0]):
-        _warp_row(image, transform, v, out[v])
+        _warp_row(image, 0, image.shape[0], transform, v, out[v])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def warp_band(image: Any, transform: Any, top: int, out: Any) -> None:
-    """As :func:`_warp`, of the rows from `top` on, (rows, U, layers), on one thread."""
+def _warp_band(image: Any, first: int, height: int, transform: Any, top: int, out: Any) -> None:
+    """As :func:`_warp`, of the rows from `top` on, on one thread.
+
+    `image` has the rows from `first` on of a frame of `height` rows, all that are needed.
+    """
     for row in range(out.shape[0]):
-        _warp_row(image, transform, top + row, out[row])
+        _warp_row(image, first, height, transform, top + row, out[row])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _warp_row(image: Any, transform: Any, v: int, out: Any) -> None:
+def _warp_row(image: Any, first: int, height: int, transform: Any, v: int, out: Any) -> None:
     """Fill one row.
 
     Lagrange interpolation through six samples a direction: exact for polynomials of degree
     five.  OpenCV's bicubic warp moves even a ramp by up to half as much again where shifts are
     small, and rounds them to 1/32 of a pixel.
     """
-    height, width, layers = image.shape
+    rows, width, layers = image.shape
     for u in range(width):
         scale = transform[2, 0] * u + transform[2, 1] * v + transform[2, 2]
         x = (transform[0, 0] * u + transform[0, 1] * v + transform[0, 2]) / scale
@@ -125,8 +162,8 @@ def _warp_row(image: Any, transform: Any, v: int, out: Any) -> None:
         column, row = int(np.floor(x)), int(np.floor(y))
         a = _weights(x - column)
         b = _weights(y - row)
-        column, row = column - 2, row - 2
-        inside = column >= 0 and row >= 0 and column + 5 < width and row + 5 < height
+        column, row = column - 2, row - 2 - first
+        inside = column >= 0 and row >= 0 and column + 5 < width and row + 5 < rows
         for layer in range(layers):
             total = 0.0
             if inside:
@@ -142,7 +179,7 @@ def _warp_row(image: Any, transform: Any, v: int, out: Any) -> None:
                     )
             else:
                 for j in range(_NODES):
-                    line = image[min(max(row + j, 0), height - 1)]
+                    line = image[min(max(row + j + first, 0), height - 1) - first]
                     part = 0.0
                     for i in range(_NODES):
                         part += a[i] * line[min(max(column + i, 0), width - 1), layer]

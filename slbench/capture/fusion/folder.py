@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.capture.fusion.stack import Banded, Stack, banded
 from slbench.core.errors import InputError
 from slbench.core.io import read_colour
 from slbench.core.show.display import brief
@@ -99,16 +100,36 @@ class Photographs:
 class Luminance:
     """A stack of photographs in grey, for the measures of focus."""
 
-    photographs: Photographs
+    photographs: Stack
 
     def __len__(self) -> int:
         """Return the number of photographs."""
         return len(self.photographs)
 
     def __getitem__(self, index: int) -> NDArray[Any]:
-        """Read one photograph as grey values in digital numbers, (V, U)."""
-        image = self.photographs[index]
-        return image if image.ndim == 2 else image @ _LUMA
+        """Return one photograph as grey values in digital numbers, (V, U)."""
+        return _grey(np.asarray(self.photographs[index]))
+
+    def banded(self) -> Banded:
+        """Return the same by bands of rows."""
+        return _GreyBands(banded(self.photographs, colour=True))
+
+
+class _GreyBands:
+    """Photographs in grey by bands of rows."""
+
+    def __init__(self, whole: Banded) -> None:
+        self._whole, self.shape = whole, whole.shape[:2]
+
+    def __len__(self) -> int:
+        return len(self._whole)
+
+    def rows(self, index: int, top: int, bottom: int) -> NDArray[Any]:
+        return _grey(self._whole.rows(index, top, bottom))
+
+
+def _grey(image: NDArray[Any]) -> NDArray[Any]:
+    return image if image.ndim == 2 else image @ _LUMA
 
 
 def _natural(name: str) -> tuple[Any, ...]:

@@ -17,7 +17,8 @@ from slbench.core.errors import InputError
 from slbench.core.registry import Registry
 
 #: ``detail(image, window, out)`` writes what a measure averages, pixel by pixel: `image` and `out`
-#: are (V, U) float32, not the same array, `window` is the side of the window in pixels.
+#: are (V, U) float32, not the same array, `window` is the side of the window in pixels.  A pixel
+#: may depend on those up to a window away: large images are measured by bands of rows.
 Detail: TypeAlias = Callable[[Any, int, Any], None]
 
 #: Focus measures by name.  To add one, write its detail below and name it here; outside slbench

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -11,16 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.fusion.align import Alignment, Motion, align
-from slbench.capture.fusion.folder import Photographs
+from slbench.capture.fusion.folder import Luminance, Photographs
 from slbench.capture.fusion.measures import check_measure
 from slbench.capture.fusion.pyramid import PyramidSelection, pyramid_selection
 from slbench.capture.fusion.selective import (
     FusionWeights,
     Variant,
+    check_variant,
+    maximum_bands,
     maximum_weights,
+    selective_bands,
     selective_weights,
 )
-from slbench.capture.fusion.stack import Stack
+from slbench.capture.fusion.stack import Band, Banded, Kept, Stack, banded, frames
 from slbench.core.io import OutputFolder, files_beside, write_exr, write_png
 from slbench.core.show.document import Cell, Table
 
@@ -74,6 +77,19 @@ class FusionMethod:
             return maximum_weights(grey, **options)
         return selective_weights(grey, variant=self.variant, **options)
 
+    def bands(
+        self, grey: Banded, on_progress: Progress | None = None
+    ) -> Iterator[tuple[int, FusionWeights]]:
+        """Yield the same weights by bands of rows, each with its first row; not of pyramids."""
+        options: dict[str, Any] = {
+            "measure": self.measure,
+            "window": self.window,
+            "on_progress": on_progress,
+        }
+        if self.name == "maximum":
+            return maximum_bands(grey, **options)
+        return selective_bands(grey, published=check_variant(self.variant, len(grey)), **options)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FusedPhotographs:
@@ -86,24 +102,27 @@ class FusedPhotographs:
     frames : int
         How many there were.
     method : FusionMethod
-    weights : FusionWeights or PyramidSelection
     alignment : Alignment or None
+    focus, selectivity_db, noise_gain : (V, U) ndarray or None
+        As :class:`~slbench.capture.fusion.FusionWeights` has them; none of pyramids.
     """
 
     pixels: NDArray[Any]
     frames: int
     method: FusionMethod
-    weights: FusionWeights | PyramidSelection
     alignment: Alignment | None
+    focus: NDArray[np.float64] | None = None
+    selectivity_db: NDArray[np.float64] | None = None
+    noise_gain: NDArray[np.float64] | None = None
 
     @property
     def maps(self) -> dict[str, NDArray[np.float32]]:
         """Frame in focus at each pixel, counted from 0, and selectivity, dB; none of pyramids."""
-        if isinstance(self.weights, PyramidSelection):
+        if self.focus is None or self.selectivity_db is None:
             return {}
         return {
-            "depth": self.weights.focus.astype(np.float32),
-            "selectivity": self.weights.selectivity_db.astype(np.float32),
+            "depth": self.focus.astype(np.float32),
+            "selectivity": self.selectivity_db.astype(np.float32),
         }
 
     def files(self, path: Path) -> list[Path]:
@@ -120,7 +139,7 @@ class FusedPhotographs:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of the whole, for JSON."""
-        method, weights, alignment = self.method, self.weights, self.alignment
+        method, alignment = self.method, self.alignment
         result: dict[str, Any] = {
             "method": method.name,
             "align": method.motion or "none",
@@ -135,13 +154,17 @@ class FusedPhotographs:
             result["least_correlation"] = float(alignment.correlation.min())
         if method.name == "saf":
             result["variant"] = method.variant
-        if not isinstance(weights, PyramidSelection):
+        if (
+            self.focus is not None
+            and self.selectivity_db is not None
+            and self.noise_gain is not None
+        ):
             result |= {
                 "measure": method.measure,
                 "window_px": method.window,
-                "pixels_with_peak": float(np.isfinite(weights.focus).mean()),
-                "median_selectivity_db": float(np.median(weights.selectivity_db)),
-                "median_noise_gain": float(np.median(weights.noise_gain)),
+                "pixels_with_peak": float(np.isfinite(self.focus).mean()),
+                "median_selectivity_db": float(np.median(self.selectivity_db)),
+                "median_noise_gain": float(np.median(self.noise_gain)),
             }
         return result
 
@@ -184,22 +207,41 @@ def fuse_photographs(
     -------
     FusedPhotographs
     """
-    grey: Any = photographs.luminance
-    stack: Any = photographs
+    # Read once, and held as deep as they are: all else is done by bands of rows.
+    images = list(frames(photographs, colour=True))
+    grey: Any = Luminance(images)
+    stack: Any = images
     alignment = None
     if method.motion is not None:
         alignment = align(grey, motion=method.motion)
         grey, stack = alignment.apply(grey), alignment.apply(stack)
-    weights = method.weights(grey, on_progress)
-    top = np.iinfo(photographs.dtype).max
-    pixels = np.clip(np.rint(weights.fuse(stack)), 0, top).astype(photographs.dtype)
+    pixels = np.empty(photographs.shape, photographs.dtype)
+    common: dict[str, Any] = {
+        "pixels": pixels,
+        "frames": len(photographs),
+        "method": method,
+        "alignment": alignment,
+    }
+    if method.name == "pyramid":
+        _digitise(pyramid_selection(grey).fuse(stack), pixels)
+        return FusedPhotographs(**common)
+    focus, selectivity, noise_gain = np.empty((3, *pixels.shape[:2]))
+    grey_bands = Kept(banded(grey))
+    bands = grey_bands if len(photographs.shape) == 2 else banded(stack, colour=True)
+    for top, weights in method.bands(grey_bands, on_progress):
+        bottom = top + len(weights.focus)
+        rows = slice(top, bottom)
+        _digitise(weights.fuse(Band(bands, top, bottom)), pixels[rows])
+        focus[rows], selectivity[rows] = weights.focus, weights.selectivity_db
+        noise_gain[rows] = weights.noise_gain
     return FusedPhotographs(
-        pixels=pixels,
-        frames=len(photographs),
-        method=method,
-        weights=weights,
-        alignment=alignment,
+        **common, focus=focus, selectivity_db=selectivity, noise_gain=noise_gain
     )
+
+
+def _digitise(image: NDArray[np.float64], pixels: NDArray[Any]) -> None:
+    """Write an image as whole numbers of the pixels' type."""
+    pixels[...] = np.clip(np.rint(image), 0, np.iinfo(pixels.dtype).max)
 
 
 def fused_output(path: Path) -> OutputFolder:

@@ -6,13 +6,11 @@ noise-robust selective fusion of limited depth-of-field images", IEEE Trans. Ima
 curve like a Gaussian; where noise makes up the curve, it is not, and frames are then averaged.
 """
 
-import os
-from collections import deque
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -20,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.capture.fusion import _kernels
 from slbench.capture.fusion.measures import check_measure, measure_into
-from slbench.capture.fusion.stack import Stack, frames
+from slbench.capture.fusion.stack import Banded, Stack, banded, frames, workers_for
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.core.validation.types import Finite, Interval
@@ -31,7 +29,8 @@ Variant = Literal["corrected", "published"]
 
 #: Fewest frames from which a selectivity says something: the Gaussian takes up three.
 LEAST_FRAMES = 5
-_MOST_WORKERS = 8  # frames in work at a time, which bounds the memory
+_BAND_BYTES = 1 << 25  # of the focus measure of a band, all frames
+_LEAST_ROWS = 32  # of a band: its margins are some 30 rows
 _LEAST_ERROR = 1e-6  # 120 dB: what float32 resolves
 _LEAST_ALPHA = 1e-3  # below, weights are equal but for rounding
 
@@ -142,9 +141,9 @@ def selective_weights(
     averaged.  Fewer than five frames say nothing about the fit, and phi is the largest, 1 /
     alpha; u needs three frames; of one frame the fusion is that frame.
 
-    The focus measure of all frames is held as float32: memory is six bytes a pixel and
-    frame, the weights included, and some ten images besides, 880 MiB for 30 frames of 2048 x
-    2048 pixels.
+    The focus is measured in bands of rows: beyond the frames and the weights, two bytes a pixel
+    and frame, memory is some 200 MB whatever their size.  Frames that a stack reads when it is
+    asked are held, as deep as they are.
 
     Parameters
     ----------
@@ -178,16 +177,68 @@ def selective_weights(
     InputError
         If a parameter or the stack is not as above, or a frame is not finite.
     """
+    published = check_variant(variant, len(stack))
+    check_measure(measure, window)  # ahead of the frames, which may have to be read
+    bands = selective_bands(
+        banded(stack),
+        positions=positions,
+        measure=measure,
+        window=window,
+        alpha=alpha,
+        threshold_db=threshold_db,
+        published=published,
+        on_progress=on_progress,
+    )
+    return _joined(bands, len(stack))
+
+
+def check_variant(variant: Variant, count: int) -> bool:
+    """Return whether the variant is the published one, and refuse it for too few frames."""
     published = variant == "published"
-    if published and len(stack) < LEAST_FRAMES:
-        raise InputError("stack", "at least 5 frames for the published variant", len(stack))
-    curves = _focus_curves(stack, positions, measure, window, published, on_progress)
-    known = np.nan_to_num(curves.selectivity_db, nan=np.inf)
-    phi = (1.0 + np.tanh(alpha * (known - threshold_db))) / (2.0 * alpha)
-    phi = cv2.medianBlur(phi.astype(np.float32), 3)
-    weights = np.empty(curves.focus.shape, dtype=np.uint16)
-    _kernels.soft_weights(curves.focus, curves.peak, phi, weights)
-    return FusionWeights(weights, curves.place, curves.selectivity_db)
+    if published and count < LEAST_FRAMES:
+        raise InputError("stack", "at least 5 frames for the published variant", count)
+    return published
+
+
+def selective_bands(
+    stack: Banded,
+    *,
+    positions: ArrayLike | None = None,
+    measure: str = "variance",
+    window: int = 9,
+    alpha: float = 0.2,
+    threshold_db: float = 13.0,
+    published: bool = False,
+    on_progress: Callable[[str, float, str], None] | None = None,
+) -> Iterator[tuple[int, FusionWeights]]:
+    """Yield the weights of :func:`selective_weights` by bands, each with its first row."""
+    for top, curves in _focus_curves(stack, positions, measure, window, published, on_progress):
+        known = np.nan_to_num(curves.selectivity_db, nan=np.inf)
+        phi = (1.0 + np.tanh(alpha * (known - threshold_db))) / (2.0 * alpha)
+        phi = cv2.medianBlur(phi.astype(np.float32), 3)
+        inner = curves.inner
+        focus = np.ascontiguousarray(curves.focus[:, inner])
+        weights = np.empty(focus.shape, dtype=np.uint16)
+        _kernels.soft_weights(focus, curves.peak[inner], phi[inner], weights)
+        yield top, FusionWeights(weights, curves.place[inner], curves.selectivity_db[inner])
+
+
+def _joined(bands: Iterator[tuple[int, FusionWeights]], count: int) -> FusionWeights:
+    """Return the weights of all bands as one."""
+    parts = [part for _, part in bands]
+    if len(parts) == 1:
+        return parts[0]
+    width = parts[0].focus.shape[1]
+    weights = np.empty((count, sum(len(part.focus) for part in parts), width), dtype=np.uint16)
+    focus, selectivity = np.empty((2, *weights.shape[1:]))
+    top = 0
+    while parts:  # each is let go as soon as it is copied
+        part = parts.pop(0)
+        rows = slice(top, top + len(part.focus))
+        weights[:, rows], focus[rows] = part.weights, part.focus
+        selectivity[rows] = part.selectivity_db
+        top = rows.stop
+    return FusionWeights(weights, focus, selectivity)
 
 
 def maximum_weights(
@@ -203,15 +254,41 @@ def maximum_weights(
     The plain way, to compare with.  Of several equal frames it is that of the least position.
     Parameters, result and errors are those of :func:`selective_weights`.
     """
-    curves = _focus_curves(stack, positions, measure, window, False, on_progress)
-    weights = np.zeros(curves.focus.shape, dtype=np.uint16)
-    np.put_along_axis(weights, curves.sharpest[None], _kernels.FULL_WEIGHT, axis=0)
-    return FusionWeights(weights, curves.place, curves.selectivity_db)
+    check_measure(measure, window)
+    bands = maximum_bands(
+        banded(stack),
+        positions=positions,
+        measure=measure,
+        window=window,
+        on_progress=on_progress,
+    )
+    return _joined(bands, len(stack))
+
+
+def maximum_bands(
+    stack: Banded,
+    *,
+    positions: ArrayLike | None = None,
+    measure: str = "variance",
+    window: int = 9,
+    on_progress: Callable[[str, float, str], None] | None = None,
+) -> Iterator[tuple[int, FusionWeights]]:
+    """Yield the weights of :func:`maximum_weights` by bands, each with its first row."""
+    for top, curves in _focus_curves(stack, positions, measure, window, False, on_progress):
+        inner = curves.inner
+        sharpest = curves.sharpest[inner]
+        weights = np.zeros((len(stack), *sharpest.shape), dtype=np.uint16)
+        np.put_along_axis(weights, sharpest[None], _kernels.FULL_WEIGHT, axis=0)
+        yield top, FusionWeights(weights, curves.place[inner], curves.selectivity_db[inner])
 
 
 class _Curves(NamedTuple):
-    """The focus curves of all pixels, and what a fit says about each."""
+    """The focus curves of a band's pixels, and what a fit says about each.
 
+    The selectivity is right in the rows `inner` and one more either side, the rest wherever it is.
+    """
+
+    inner: slice  # the band's own rows
     focus: NDArray[np.float32]  # (P, V, U)
     peak: NDArray[np.float32]  # (V, U)
     sharpest: NDArray[np.int32]  # (V, U), frame
@@ -220,70 +297,75 @@ class _Curves(NamedTuple):
 
 
 def _focus_curves(
-    stack: Stack,
+    stack: Banded,
     positions: ArrayLike | None,
     measure: str,
     window: int,
     published: bool,
     on_progress: Callable[[str, float, str], None] | None,
-) -> _Curves:
-    """Measure the focus of every frame and fit the curves."""
+) -> Iterator[tuple[int, _Curves]]:
+    """Measure the focus of every frame and fit the curves, band by band, each with its first row.
+
+    A pixel depends on the rows around it, so each band is measured with a margin, whose outer
+    part is not right and not used: results do not depend on the height of the bands.
+    """
     check_measure(measure, window)
     count = len(stack)
     x = _checked_positions(positions, count)
-    focus = _measured(stack, measure, window, on_progress)
-    shape = focus.shape[1:]
-    peak, error = np.empty((2, *shape), dtype=np.float32)
-    index = np.empty(shape, dtype=np.int32)
-    place = np.empty(shape)
     order = np.argsort(x)
-    _kernels.fit_peaks(focus, order, x[order], published, peak, index, place, error)
-    if count < LEAST_FRAMES:
-        return _Curves(focus, peak, index, place, np.full(shape, np.nan))
-    mean_error = np.empty_like(error)
-    _kernels.box_mean(error, window // 2, mean_error)
-    selectivity = -20.0 * np.log10(np.maximum(mean_error.astype(np.float64), _LEAST_ERROR))
-    return _Curves(focus, peak, index, place, selectivity)
+    height, width = stack.shape
+    half = window // 2
+    rows = max(_LEAST_ROWS, _BAND_BYTES // (4 * count * width))
+    with ThreadPoolExecutor(workers_for(count)) as pool:
+        for top in range(0, height, rows):
+            bottom = min(top + rows, height)
+            # The median's neighbours, and the window in which the errors are averaged.
+            first, last = max(top - half - 1, 0), min(bottom + half + 1, height)
+            focus = np.empty((count, last - first, width), dtype=np.float32)
+            measured = _Measuring(stack, measure, window, first, last, focus)
+            for p, _ in enumerate(pool.map(measured.of, range(count))):
+                if on_progress is not None:
+                    done = (top + (bottom - top) * (p + 1) / count) / height
+                    on_progress("focus", done, "")
+            shape = focus.shape[1:]
+            peak, error = np.empty((2, *shape), dtype=np.float32)
+            index = np.empty(shape, dtype=np.int32)
+            place = np.empty(shape)
+            _kernels.fit_peaks(focus, order, x[order], published, peak, index, place, error)
+            if count < LEAST_FRAMES:
+                selectivity = np.full(shape, np.nan)
+            else:
+                mean_error = np.empty_like(error)
+                _kernels.box_mean(error, half, mean_error)
+                floor = np.maximum(mean_error.astype(np.float64), _LEAST_ERROR)
+                selectivity = -20.0 * np.log10(floor)
+            inner = slice(top - first, bottom - first)
+            yield top, _Curves(inner, focus, peak, index, place, selectivity)
 
 
-def _measured(
-    stack: Stack,
-    measure: str,
-    window: int,
-    on_progress: Callable[[str, float, str], None] | None,
-) -> NDArray[np.float32]:
-    """Return the focus measure of every frame, (P, V, U), several frames being in work at once.
+class _Measuring(NamedTuple):
+    """What measures the focus of one frame in the rows `first` to `last`."""
 
-    Frames are read by this thread alone, in order: a stack need not know of threads.
-    """
-    count = len(stack)
-    focus = np.empty((0, 0, 0), dtype=np.float32)
+    stack: Banded
+    measure: str
+    window: int
+    first: int
+    last: int
+    focus: NDArray[np.float32]
 
-    def work(p: int, frame: NDArray[Any]) -> None:
+    def of(self, p: int) -> None:
+        # The mean over the window, of a detail that sees as far as a window.
+        margin = self.window // 2 + self.window
+        top = max(self.first - margin, 0)
+        bottom = min(self.last + margin, self.stack.shape[0])
         with np.errstate(over="ignore"):  # found out below
-            values = np.ascontiguousarray(frame, dtype=np.float32)
-        measure_into(values, measure, window, np.empty_like(values), focus[p])
-        if not np.isfinite(focus[p].max()):
+            rows = self.stack.rows(p, top, bottom)
+            values = np.ascontiguousarray(rows, dtype=np.float32)
+        out = np.empty_like(values)
+        measure_into(values, self.measure, self.window, np.empty_like(values), out)
+        self.focus[p] = out[self.first - top : self.last - top]
+        if not np.isfinite(self.focus[p].max()):
             raise InputError(f"stack: frame {p}", "values whose squares float32 holds", "larger")
-
-    workers = min(count, os.cpu_count() or 1, _MOST_WORKERS)
-    pending: deque[Future[None]] = deque()
-    done = 0
-    with ThreadPoolExecutor(max(workers, 1)) as pool:
-        for p, frame in enumerate(frames(stack)):
-            if p == 0:
-                focus = np.empty((count, *frame.shape), dtype=np.float32)
-            if len(pending) > workers:
-                pending.popleft().result()
-                done += 1
-            pending.append(pool.submit(work, p, frame))
-            if on_progress is not None:
-                on_progress("focus", done / count, "")
-        while pending:
-            pending.popleft().result()
-    if on_progress is not None:
-        on_progress("focus", 1.0, "")
-    return focus
 
 
 def _checked_positions(positions: ArrayLike | None, count: int) -> FloatArray:

@@ -2,8 +2,9 @@
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -71,7 +72,102 @@ def frames(
         yield frame
 
 
+class Banded(Protocol):
+    """Frames of which some rows are asked for: what makes large stacks small pieces of work."""
+
+    shape: tuple[int, ...]  # of a frame
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+
+    def rows(self, index: int, top: int, bottom: int) -> NDArray[Any]:
+        """Return rows `top` to `bottom` of a frame, with the values that the whole has there."""
+
+
+class Held:
+    """Frames in memory, as deep as they are.
+
+    Parameters
+    ----------
+    frames : sequence of ndarray
+        Of one shape.
+    """
+
+    def __init__(self, frames: Sequence[NDArray[Any]]) -> None:
+        self.frames, self.shape = frames, frames[0].shape
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def rows(self, index: int, top: int, bottom: int) -> NDArray[Any]:
+        """Return rows of one frame, not copied."""
+        return self.frames[index][top:bottom]
+
+
+class Kept:
+    """Bands of which those asked for last are kept, one a frame, where they cost more than memory.
+
+    Parameters
+    ----------
+    whole : Banded
+    """
+
+    def __init__(self, whole: Banded) -> None:
+        self._whole, self.shape = whole, whole.shape
+        self._last: dict[int, tuple[int, int, NDArray[Any]]] = {}
+
+    def __len__(self) -> int:
+        return len(self._whole)
+
+    def rows(self, index: int, top: int, bottom: int) -> NDArray[Any]:
+        """Return rows of one frame, from those before if they are among them."""
+        first, last, rows = self._last.get(index, (0, -1, None))
+        if rows is None or top < first or bottom > last:
+            self._last.pop(index, None)
+            first, last, rows = top, bottom, self._whole.rows(index, top, bottom)
+            self._last[index] = first, last, rows
+        return rows[top - first : bottom - first]
+
+
+def banded(stack: Stack, *, colour: bool = False) -> Banded:
+    """Return a stack by bands of rows: by its own ``banded()``, or held in memory.
+
+    Raises
+    ------
+    InputError
+        As :func:`frames`.
+    """
+    own = getattr(stack, "banded", None)
+    return own() if own is not None else Held(list(frames(stack, colour=colour)))
+
+
+@dataclass(frozen=True)
+class Band:
+    """The same rows of all frames, as a stack.
+
+    Parameters
+    ----------
+    whole : Banded
+    top, bottom : int
+    """
+
+    whole: Banded
+    top: int
+    bottom: int
+
+    def __len__(self) -> int:
+        return len(self.whole)
+
+    def __getitem__(self, index: int) -> NDArray[Any]:
+        return self.whole.rows(index, self.top, self.bottom)
+
+
 _MOST_WORKERS = 8  # frames in work at a time, which bounds the memory
+
+
+def workers_for(count: int) -> int:
+    """Return how many of `count` frames may be in work at a time."""
+    return max(1, min(count, os.cpu_count() or 1, _MOST_WORKERS))
 
 
 def each_frame(
@@ -79,7 +175,6 @@ def each_frame(
     work: Callable[[int, NDArray[Any]], object],
     *,
     but: int | None = None,
-    on_done: Callable[[int], object] | None = None,
 ) -> None:
     """Call ``work(index, frame)`` for each frame, several being in work at once.
 
@@ -91,26 +186,20 @@ def each_frame(
     work : callable
     but : int, optional
         A frame to leave out.
-    on_done : callable, optional
-        Called with the number of frames that are done.
 
     Raises
     ------
     InputError
         As :func:`frames`, and what `work` raises.
     """
-    workers = max(1, min(len(stack), os.cpu_count() or 1, _MOST_WORKERS))
+    workers = workers_for(len(stack))
     pending: deque[Future[object]] = deque()
-    done = 0
     with ThreadPoolExecutor(workers) as pool:
         for index, frame in enumerate(frames(stack)):
             if index == but:
                 continue
             if len(pending) > workers:
                 pending.popleft().result()
-                done += 1
             pending.append(pool.submit(work, index, frame))
-            if on_done is not None:
-                on_done(done)
         while pending:
             pending.popleft().result()
