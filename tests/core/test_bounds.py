@@ -194,3 +194,15 @@ def test_a_black_frame_of_a_large_camera_is_read(tmp_path):
     """65 megapixels that deflate 900 times: large and honest, not a bomb."""
     io.write_png(tmp_path / "a.png", np.zeros((8192, 8192), np.uint8))
     assert io.read_grey(tmp_path / "a.png").shape == (8192, 8192)
+
+
+def test_an_exr_of_known_shape_may_be_as_flat_as_it_is(tmp_path, monkeypatch):
+    """A plate's truth deflates to a thousandth; the rig says how large it is."""
+    path = tmp_path / "flat.exr"
+    io.write_exr(path, {"point.Z": np.zeros((300, 400), np.float32)})
+    monkeypatch.setattr("slbench.core.io.bounds._FREE", 1000)
+    with pytest.raises(InputError, match=r"flat\.exr"):
+        io.read_exr(path)
+    assert io.read_exr(path, (300, 400))["point.Z"].shape == (300, 400)
+    with pytest.raises(InputError, match="expected 300 x 400 px, got 400 x 300 px"):
+        io.read_exr(path, (400, 300))
