@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slbench.core.errors import InputError
+from slbench.core.threads import in_bands
 from slbench.core.validation.types import Count, Shifts
 from slbench.patterns.base import (
     Axis,
@@ -148,6 +149,7 @@ class Fringes(Code):
         ``order_residual`` of every set that is unwrapped, the fringe order before it is rounded
         less the whole number it is rounded to, in turns.
         """
+        from slbench.patterns.kernels.blocks import LEAST, by_type, most_unsaturated
         from slbench.patterns.kernels.fringes import decode_fringes
 
         (axis,) = run.axes
@@ -162,26 +164,30 @@ class Fringes(Code):
             reference *= 2.0 * pi
             reference /= size
         n_pixels = pixels.shape[1]
-        coordinate, sigma, modulation, mean = (np.empty(n_pixels) for _ in range(4))
-        mask = np.empty(n_pixels, dtype=np.bool_)
-        relative = np.empty((len(sets), n_pixels if observed.keep_relative else 0))
-        residual = np.empty((len(sets), n_pixels if observed.keep_evidence else 0))
-        decode_fringes(
-            pixels,
+        most = most_unsaturated(observed.saturation, pixels.dtype)
+        whole = 2.0 * pi * codes[-1].count  # radians across the panel
+        turns_per_radian = 1.0 / whole
+        given = (
             np.array(run.searched, dtype=np.int64),
             np.array(sets, dtype=np.int64),
             shift_weights([code.shifts for code in codes]),
             float(size),
+            np.array([size * turns_per_radian, whole, 0.0 if axis in found else turns_per_radian]),
             reference,
             np.array([noise.constant_variance, noise.gain_dn_per_e, noise.offset_dn]),
-            np.array([observed.saturation, observed.min_modulation**2, observed.min_snr**2]),
-            coordinate,
-            sigma,
-            modulation,
-            mean,
-            mask,
-            relative,
-            residual,
+            np.array([most, observed.min_modulation**2, observed.min_snr**2]),
+        )
+        coordinate, sigma = np.empty(n_pixels), np.empty(n_pixels)
+        modulation, mean = np.empty(n_pixels, np.float32), np.empty(n_pixels, np.float32)
+        mask = np.empty(n_pixels, dtype=np.bool_)
+        relative = np.empty((len(sets), n_pixels if observed.keep_relative else 0))
+        residual = np.empty((len(sets), n_pixels if observed.keep_evidence else 0), np.float32)
+        written = (coordinate, sigma, modulation, mean, mask, relative, residual)
+        frames = by_type(pixels)
+        in_bands(
+            lambda first, last: decode_fringes(*frames, *given, *written, first, last),
+            n_pixels,
+            LEAST,
         )
         kept = range(len(sets)) if observed.keep_relative else ()
         unwrapped = range(0 if reference.size else 1, len(sets)) if observed.keep_evidence else ()
@@ -200,9 +206,12 @@ class Fringes(Code):
 
 
 def shift_weights(shifts: Sequence[int]) -> FloatArray:
-    """Return cos and sin of 2 pi k / N for each of S sets, (S, largest N, 2)."""
-    weights = np.zeros((len(shifts), max(shifts), 2))
+    """Return cos and sin of 2 pi k / N and one for k < N of each of S sets, (S, K, 3).
+
+    K is the largest N rounded up to a multiple of four; rows beyond a set's own N are zero.
+    """
+    weights = np.zeros((len(shifts), -4 * (-max(shifts) // 4), 3))
     for row, count in zip(weights, shifts, strict=True):
         angle = 2.0 * pi * np.arange(count) / count
-        row[:count] = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        row[:count] = np.stack([np.cos(angle), np.sin(angle), np.ones(count)], axis=1)
     return weights

@@ -10,6 +10,7 @@ from typing import ClassVar, Self, cast
 import numpy as np
 
 from slbench.core.errors import InputError
+from slbench.core.threads import in_bands
 from slbench.patterns.base import (
     Axis,
     Code,
@@ -104,6 +105,7 @@ class GrayCode(Code):
         The standard deviation is 1 / sqrt(12), that of a uniform error.  Evidence:
         ``bit_contrast`` (bits, P), half the difference between lit and unlit of every bit, DN.
         """
+        from slbench.patterns.kernels.blocks import LEAST, by_type
         from slbench.patterns.kernels.gray import decode_gray
 
         (placed,) = run.parts
@@ -112,10 +114,11 @@ class GrayCode(Code):
         size = extent(observed.panel, axis)
         bits, first = code.n_bits(size), placed.frames.start
         threshold = np.empty(0) if code.inverse else _threshold(observed)
-        column, contrast, mean = (np.empty(pixels.shape[1]) for _ in range(3))
-        mask = np.empty(pixels.shape[1], dtype=np.bool_)
-        decode_gray(
-            pixels,
+        n_pixels = pixels.shape[1]
+        column, mask = np.empty(n_pixels), np.empty(n_pixels, dtype=np.bool_)
+        contrast, mean = np.empty(n_pixels, np.float32), np.empty(n_pixels, np.float32)
+        frames = by_type(pixels)
+        given = (
             first,
             bits,
             code.inverse,
@@ -123,10 +126,13 @@ class GrayCode(Code):
             float(size),
             np.array([noise.constant_variance, noise.gain_dn_per_e, noise.offset_dn]),
             np.array([observed.min_modulation**2, observed.min_snr**2]),
-            column,
-            contrast,
-            mean,
-            mask,
+        )
+        in_bands(
+            lambda start, stop: decode_gray(
+                *frames, *given, column, contrast, mean, mask, start, stop
+            ),
+            n_pixels,
+            LEAST,
         )
         evidence = {}
         if observed.keep_evidence:
