@@ -22,6 +22,7 @@ from slbench.core.show.display import block, length
 from slbench.core.show.drawing import figure
 from slbench.patterns import PhaseMap
 from slbench.rig import Device, Rig
+from slbench.rig.pose import product
 
 Array = NDArray[np.float64]
 Axis = Literal["u", "v"]
@@ -176,7 +177,7 @@ def intersect_axis(
     """
     k = 0 if axis == "u" else 1
     origin = projector.pose.to_local(origins)
-    direction = directions @ projector.pose.rotation
+    direction = product(directions, projector.pose.rotation)
     per_unit = projector.lens.focal_length_mm / projector.pitch_mm[k]
     with np.errstate(invalid="ignore", divide="ignore"):
         x = (panel - projector.centre[k]) / per_unit

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, numbers
+from slbench.rig.pose import product
 
 #: Name of the face that heights are taken from.
 REFERENCE = "reference"
@@ -122,7 +123,7 @@ class Mesh:
             raise InputError("transform", "finite (3, 3) and (3,)", f"{r.shape} and {t.shape}")
         if not (np.abs(r @ r.T - np.eye(3)).max() < 1e-9 and np.linalg.det(r) > 0):
             raise InputError("transform: rotation", "a proper rotation", r.tolist())
-        return Mesh(self.vertices @ r.T + t, self.faces)
+        return Mesh(product(self.vertices, r.T) + t, self.faces)
 
     @cached_property
     def as_trimesh(self) -> trimesh.Trimesh:

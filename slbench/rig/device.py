@@ -38,7 +38,7 @@ from slbench.rig.distortion import (
     undistort,
 )
 from slbench.rig.lens import Lens
-from slbench.rig.pose import Pose, box_corners
+from slbench.rig.pose import Pose, box_corners, product
 
 if TYPE_CHECKING:
     from slbench.rig.kernels import Optics
@@ -209,7 +209,7 @@ class Device(Value):
             jacobian = None if jacobian is None else step @ jacobian
         per_unit = self.lens.focal_length_mm / np.array(self.pitch_mm)
         if jacobian is not None:
-            jacobian = (jacobian * per_unit[:, None]) @ self.pose.rotation.T
+            jacobian = product(jacobian * per_unit[:, None], self.pose.rotation.T)
         return xy * per_unit + self.centre, jacobian
 
     def normalise(self, pixels: ArrayLike) -> Array:
@@ -244,7 +244,7 @@ class Device(Value):
         else:
             direction[..., :2] = xy
             direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-        return self.pose.to_world(local), direction @ self.pose.rotation.T
+        return self.pose.to_world(local), product(direction, self.pose.rotation.T)
 
     def chief_origin(self, points: ArrayLike) -> Array:
         """Return where the chief rays to world points (..., 3) pass the lens, (..., 3).
@@ -285,7 +285,7 @@ class Device(Value):
         local = self.pose.to_local(points)
         depth = self.lens.focus_distance_mm if self.lens.kind == "telecentric" else local[..., 2]
         # n . X - 1 = Z (1/s - 1/Z) + tilt terms
-        offset = np.abs((local @ self.focus_plane - 1.0) / depth)
+        offset = np.abs((product(local, self.focus_plane) - 1.0) / depth)
         blur = 2.0 * self.lens.aperture_radius_mm * self.lens.focal_length_mm * offset
         return blur / self.pitch_mm[0]
 

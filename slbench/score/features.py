@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from slbench.objects import REFERENCE, Artefact, PlaneFeature, SphereFeature
 from slbench.rig import Device, Pose, Rig
+from slbench.rig.pose import product
 
 Array = NDArray[np.float64]
 
@@ -176,7 +177,7 @@ def fit_features(
         radial = np.linalg.norm(outward, axis=-1) - sphere.radius_mm
         near = np.flatnonzero(np.abs(radial) < 0.2 * sphere.radius_mm)
         if rig is not None:
-            normal = outward[near] @ pose.rotation.T
+            normal = product(outward[near], pose.rotation.T)
             for device in (rig.camera, rig.projector):
                 near, normal = _facing(device, points, near, normal)
         if len(near) >= MIN_POINTS:
@@ -236,7 +237,7 @@ class _Plane:
         inner = design if kept.all() else design[kept]
         # Three columns of some millimetres about the middle: well conditioned.
         coefficients = np.linalg.solve(inner.T @ inner, inner.T @ points[kept, 2])
-        residuals = points[:, 2] - design @ coefficients
+        residuals = points[:, 2] - product(design, coefficients)
         covariance = _covariance(inner, residuals[kept], labels[kept])
         normal = residuals / np.sqrt(1.0 + np.sum(coefficients[1:] ** 2))
         return cls(face, float(coefficients[0]), float(covariance[0, 0]), normal, kept)
@@ -390,5 +391,6 @@ class _Ball:
 def _trimmed_range(residuals: Array) -> float:
     """Range of the residuals after the 0.3 % furthest from zero have been set aside."""
     kept = residuals.size - int(np.ceil(SET_ASIDE * residuals.size))
-    order = np.argsort(np.abs(residuals))[: max(kept, 1)]
-    return float(np.ptp(residuals[order]))
+    kept = max(kept, 1)
+    nearest = np.argpartition(np.abs(residuals), kept - 1)[:kept]
+    return float(np.ptp(residuals[nearest]))

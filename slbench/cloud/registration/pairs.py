@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from slbench.core.errors import InputError
 from slbench.rig import Pose
+from slbench.rig.pose import product
 
 Array = NDArray[np.float64]
 
@@ -138,15 +139,15 @@ class Pair:
         base = first.matrix(a)
         if relative is None:
             relative = np.linalg.inv(base) @ second.matrix(b)
-        moved = second.points @ relative[:3, :3].T + relative[:3, 3]
+        moved = product(second.points, relative[:3, :3].T) + relative[:3, 3]
         found, squares = first.tree.batch_nearest_neighbor_search(moved, 1)
         index = np.asarray(found, np.int64)
         near = np.asarray(squares) < (reach / first.unit) ** 2
-        other = second.normals[near] @ (base[:3, :3] @ relative[:3, :3]).T
-        own = first.normals[index[near]] @ base[:3, :3].T
+        other = product(second.normals[near], (base[:3, :3] @ relative[:3, :3]).T)
+        own = product(first.normals[index[near]], base[:3, :3].T)
         cosine = np.sum(own * other, axis=1)
-        q = moved[near] @ base[:3, :3].T + base[:3, 3]
-        p = first.points[index[near]] @ base[:3, :3].T + base[:3, 3]
+        q = product(moved[near], base[:3, :3].T) + base[:3, 3]
+        p = product(first.points[index[near]], base[:3, :3].T) + base[:3, 3]
         residual = np.sum(own * (q - p), axis=1)
         good = np.abs(cosine) > _COSINE
         if good.any():

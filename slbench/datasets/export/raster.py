@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
+from slbench.rig.pose import product
 
 
 def depth_of_mesh(
@@ -44,7 +45,7 @@ def depth_of_mesh(
     vertices = np.asarray(points, dtype=np.float64)
     if not vertices[:, 2].min() > 0:
         raise InputError("mesh", "vertices in front of the camera", f"z = {vertices[:, 2].min()}")
-    projected = vertices @ np.asarray(matrix, dtype=np.float64).T
+    projected = product(vertices, np.asarray(matrix, dtype=np.float64).T)
     pixels = projected[:, :2] / projected[:, 2:]
     inverse = np.zeros((size[1], size[0]))
     _fill(pixels, 1.0 / vertices[:, 2], np.asarray(faces, dtype=np.int64), inverse)

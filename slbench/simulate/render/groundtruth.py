@@ -21,8 +21,8 @@ from slbench.simulate.render.translate import geometry, shape_indices, shapes
 
 Array = NDArray[np.float64]
 
-#: Pixels of one pass: bounds the temporaries to some 200 MB.
-_PIXELS_PER_PASS = 1 << 19
+#: Pixels of one pass: bounds the temporaries to some 50 MB, which are soon used again.
+_PIXELS_PER_PASS = 1 << 17
 
 
 def ground_truth(objects: tuple[SceneObject, ...], rig: Rig) -> GroundTruth:
