@@ -19,17 +19,22 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse
-from numba import get_num_threads, njit, prange
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
 from slbench.core.show.display import block
+from slbench.core.threads import in_bands
 
 Marginal = Literal["u", "v", "uv"]
 
 #: Pixels handled together in the product: their panel entries and sums stay in the cache.
 _TILE = 64
+#: Pixels that are worth a thread.
+_LEAST = 1 << 12
+#: Up to so many columns are sorted by insertion alone.
+_INSERTED = 32
 #: Of a panel image's pixel on its way through the product: values, radiance, two copies.
 _PANEL_BYTES = 24
 #: Entries that 32 bits count.
@@ -43,15 +48,16 @@ _ENTRIES = (
 )
 
 
-@njit(parallel=True, cache=True, nogil=True)
-def _product(indptr, indices, data, panels, ambient, out):  # type: ignore[no-untyped-def]
-    """out[k, p] = ambient[p] + sum_j T[p, j] panels[j, k], tile by tile."""
-    pixels, n = out.shape[1], out.shape[0]
-    for tile in prange((pixels + _TILE - 1) // _TILE):
-        first = tile * _TILE
-        last = min(first + _TILE, pixels)
-        sums = np.zeros((_TILE, n), np.float32)
+@njit(cache=True, nogil=True)
+def _product(indptr, indices, data, panels, ambient, out, start, stop):  # type: ignore[no-untyped-def]
+    """out[k, p] = ambient[p] + sum_j T[p, j] panels[j, k], tile by tile, pixels start to stop."""
+    n = out.shape[0]
+    sums = np.empty((_TILE, n), np.float32)
+    for first in range(start, stop, _TILE):
+        last = min(first + _TILE, stop)
         for p in range(first, last):
+            for k in range(n):
+                sums[p - first, k] = np.float32(0)
             for j in range(indptr[p], indptr[p + 1]):
                 weight, column = data[j], indices[j]
                 for k in range(n):
@@ -61,48 +67,48 @@ def _product(indptr, indices, data, panels, ambient, out):  # type: ignore[no-un
                 out[k, p] = ambient[p] + sums[p - first, k]
 
 
-@njit(parallel=True, cache=True, nogil=True)
-def _merge(columns, weights, width, counts, workers):  # type: ignore[no-untyped-def]
-    """Merge equal columns of each pixel's samples in place, sorted; counts[p] survive.
+@njit(cache=True, nogil=True)
+def _merge(columns, weights, width, counts, first, last):  # type: ignore[no-untyped-def]
+    """Merge equal columns of samples of pixels first to last in place, sorted; counts[p] survive.
 
-    Each thread keeps one dense row of the panel; a pixel touches few of its entries, which
-    are cleared again on the way out, so the cost is that of the samples alone.
+    A dense row of the panel adds up; a pixel touches few of its entries, which are cleared again
+    on the way out, so the cost is that of the samples alone.
     """
-    pixels, samples = columns.shape
-    for worker in prange(workers):
-        row = np.zeros(width, np.float32)
-        touched = np.empty(samples, columns.dtype)
-        for p in range(worker * pixels // workers, (worker + 1) * pixels // workers):
-            n = 0
-            for s in range(samples):
-                weight = weights[p, s]
-                if weight > 0.0:
-                    column = columns[p, s]
-                    if row[column] == 0.0:
-                        touched[n] = column
-                        n += 1
-                    row[column] += weight
-            if n > 32:
-                touched[:n].sort()
-            else:
-                for i in range(1, n):
-                    value = touched[i]
-                    k = i
-                    while k > 0 and touched[k - 1] > value:
-                        touched[k] = touched[k - 1]
-                        k -= 1
-                    touched[k] = value
-            for i in range(n):
-                column = touched[i]
-                columns[p, i] = column
-                weights[p, i] = row[column]
-                row[column] = 0.0
-            counts[p] = n
+    row = np.zeros(width, np.float32)
+    for p in range(first, last):
+        n = 0
+        for s in range(columns.shape[1]):
+            weight = weights[p, s]
+            if weight > 0.0:
+                column = columns[p, s]
+                if row[column] == 0.0:
+                    columns[p, n] = column  # n is at most s, which has been read
+                    n += 1
+                row[column] += weight
+        # D. L. Shell's sort, "A high-speed sorting procedure" (CACM 2(7), 1959); few columns are
+        # simply inserted.
+        gap = 1
+        while n > _INSERTED and gap < n // 3:
+            gap = 3 * gap + 1
+        while gap > 0:
+            for i in range(gap, n):
+                value = columns[p, i]
+                k = i
+                while k >= gap and columns[p, k - gap] > value:
+                    columns[p, k] = columns[p, k - gap]
+                    k -= gap
+                columns[p, k] = value
+            gap //= 3
+        for i in range(n):
+            column = columns[p, i]
+            weights[p, i] = row[column]
+            row[column] = 0.0
+        counts[p] = n
 
 
-@njit(parallel=True, cache=True, nogil=True)
-def _pack(columns, weights, indptr, indices, data):  # type: ignore[no-untyped-def]
-    for p in prange(columns.shape[0]):
+@njit(cache=True, nogil=True)
+def _pack(columns, weights, indptr, indices, data, first, last):  # type: ignore[no-untyped-def]
+    for p in range(first, last):
         start = indptr[p]
         for i in range(indptr[p + 1] - start):
             indices[start + i] = columns[p, i]
@@ -152,12 +158,20 @@ class SparseRows:
         width : int
         """
         counts = np.empty(columns.shape[0], np.int32)
-        # More chunks than threads, so that bright and dark regions even out.
-        _merge(columns, weights, width, counts, 4 * get_num_threads())
+        pixels = len(counts)
+        in_bands(
+            lambda first, last: _merge(columns, weights, width, counts, first, last),
+            pixels,
+            _LEAST,
+        )
         indptr = _row_starts(counts)
         indices = np.empty(indptr[-1], columns.dtype)
         data = np.empty(indptr[-1], np.float32)
-        _pack(columns, weights, indptr, indices, data)
+        in_bands(
+            lambda first, last: _pack(columns, weights, indptr, indices, data, first, last),
+            pixels,
+            _LEAST,
+        )
         return cls(indptr, indices, data, width)
 
     @classmethod
@@ -276,7 +290,8 @@ class LightTransport:
         # Panel-major, so that one transport entry serves all patterns in one vector operation.
         panel_major = np.ascontiguousarray(values.T)
         ambient = self.ambient.reshape(-1)
-        _product(rows.indptr, rows.indices, rows.data, panel_major, ambient, out)
+        given = (rows.indptr, rows.indices, rows.data, panel_major, ambient, out)
+        in_bands(lambda first, last: _product(*given, first, last), ambient.size, _LEAST)
         return out.reshape(len(values), *self.shape)
 
     def white(self) -> NDArray[np.float32]:
