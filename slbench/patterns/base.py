@@ -70,6 +70,8 @@ from slbench.core.validation.values import Value, validated
 from slbench.patterns.noise import NoiseModel
 
 FloatArray = NDArray[np.float64]
+#: Of what no digit beyond single precision is of use: in half the memory.
+AnyFloatArray = NDArray[np.float32] | NDArray[np.float64]
 #: What a frame varies along; "uv" is a whole image.
 Variation = Literal["u", "v", "uv"]
 #: Panel width and height, px.
@@ -344,7 +346,7 @@ class Found:
         its own mask is False: finer ones judge for themselves.
     sigma : (P,) float64
         Standard deviation of the coordinate, px.
-    modulation, mean : (P,) float64
+    modulation, mean : (P,) float32 or float64
         Contrast and mean of the frames that decide the coordinate, DN.
     mask : (P,) bool
         Where the coordinate is good enough to be the result.
@@ -354,18 +356,18 @@ class Found:
         The decoder does both where it is False.
     relative : tuple of (fringes, (P,) float64)
         Relative phase in [0, 2 pi) of every fringe set of the run, if wanted.
-    evidence : mapping of part index to mapping of name to (..., P) float64
+    evidence : mapping of part index to mapping of name to (..., P) float32 or float64
         By what a user may judge the coordinate, if wanted.
     """
 
     coordinate: FloatArray
     sigma: FloatArray
-    modulation: FloatArray
-    mean: FloatArray
+    modulation: AnyFloatArray
+    mean: AnyFloatArray
     mask: NDArray[np.bool_]
     complete: bool = False
     relative: tuple[tuple[int, FloatArray], ...] = ()
-    evidence: Mapping[int, Mapping[str, FloatArray]] = field(default_factory=dict)
+    evidence: Mapping[int, Mapping[str, AnyFloatArray]] = field(default_factory=dict)
 
     __repr__ = brief
 

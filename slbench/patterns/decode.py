@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, share
 from slbench.core.show.drawing import figure
-from slbench.patterns.base import Axis, FloatArray, Found, Observed
+from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observed
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
 
@@ -37,29 +37,29 @@ class PhaseMap:
         Panel coordinate in pixels (pixel centres at integers), NaN outside the mask.
     sigma : dict of axis to (V, U) float64
         Predicted standard deviation of the coordinate in pixels, NaN outside the mask.
-    modulation : (V, U) float64
+    modulation : (V, U) float32
         Modulation b of the last fringe set, or contrast of a Gray code that no fringes
         follow, in DN; the least over the coded axes.
-    mean : (V, U) float64
+    mean : (V, U) float32
         Mean a of the same frames, in DN; averaged over the coded axes.
     mask : (V, U) bool
         True where every coded axis was measured.
     relative : dict of axis to list of (fringes, (V, U) float64)
         Relative phase in [0, 2 pi) of every fringe set, unmasked; empty unless asked for.
-    evidence : dict of part index to dict of name to (..., V, U) float64
+    evidence : dict of part index to dict of name to (..., V, U) float32 or float64
         By what the coordinate may be judged, unmasked; empty unless asked for.  Fringe sets
         that are unwrapped have ``order_residual``: the fringe order less the whole number it is
-        rounded to, in turns.  Gray codes have ``bit_contrast`` (bits, V, U): half the difference
-        between lit and unlit of every bit, in DN.
+        rounded to, in turns, float32.  Gray codes have ``bit_contrast`` (bits, V, U): half the
+        difference between lit and unlit of every bit, in DN, float64.
     """
 
     coordinate: dict[Axis, FloatArray]
     sigma: dict[Axis, FloatArray]
-    modulation: FloatArray
-    mean: FloatArray
+    modulation: NDArray[np.float32]
+    mean: NDArray[np.float32]
     mask: NDArray[np.bool_]
     relative: dict[Axis, list[tuple[int, FloatArray]]]
-    evidence: dict[int, dict[str, FloatArray]] = field(default_factory=dict)
+    evidence: dict[int, dict[str, AnyFloatArray]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         rows, columns = self.mask.shape
@@ -170,7 +170,7 @@ def decode(
     shape = frames.shape[1:]
     found: dict[Axis, Found] = {}
     relative: dict[Axis, list[tuple[int, FloatArray]]] = {}
-    evidence: dict[int, dict[str, FloatArray]] = {}
+    evidence: dict[int, dict[str, AnyFloatArray]] = {}
     for run in runs:
         for axis, one in run.family.decode_run(run, observed, found).items():
             found[axis] = one
@@ -191,8 +191,8 @@ def decode(
     return PhaseMap(
         coordinate={axis: one.coordinate.reshape(shape) for axis, one in results.items()},
         sigma={axis: one.sigma.reshape(shape) for axis, one in results.items()},
-        modulation=modulation.reshape(shape),
-        mean=mean.reshape(shape),
+        modulation=modulation.reshape(shape).astype(np.float32, copy=False),
+        mean=mean.reshape(shape).astype(np.float32, copy=False),
         mask=mask.reshape(shape),
         relative=relative,
         evidence=evidence,
