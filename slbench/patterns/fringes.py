@@ -206,12 +206,12 @@ class Fringes(Code):
 
 
 def shift_weights(shifts: Sequence[int]) -> FloatArray:
-    """Return cos and sin of 2 pi k / N and one for k < N of each of S sets, (S, K, 3).
+    """Return cos and sin of 2 pi k / N for k < N of each of S sets, (S, K, 2).
 
     K is the largest N rounded up to a multiple of four; rows beyond a set's own N are zero.
     """
-    weights = np.zeros((len(shifts), -4 * (-max(shifts) // 4), 3))
+    weights = np.zeros((len(shifts), -4 * (-max(shifts) // 4), 2))
     for row, count in zip(weights, shifts, strict=True):
         angle = 2.0 * pi * np.arange(count) / count
-        row[:count] = np.stack([np.cos(angle), np.sin(angle), np.ones(count)], axis=1)
+        row[:count] = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     return weights

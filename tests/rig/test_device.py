@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from slbench.core.errors import InputError
 from slbench.rig import Camera, Device, Lens, Pose, Projector
 from slbench.rig.distortion import distort, tilt_matrix, undistort
+from slbench.rig.pose import product
 
 PLAIN = Camera(640, 480, (0.0074, 0.0074), Lens(16.0, 2.0, 450.0), principal_point=(311.3, 251.9))
 DISTORTED = replace(PLAIN, distortion=(-0.25, 0.12, 0.002, -0.003, 0.02))
@@ -332,3 +333,12 @@ class TestBadInput:
         with pytest.raises(AttributeError):
             PLAIN.width = 3  # type: ignore[misc]
         assert isinstance(PLAIN, Device)
+
+
+def test_products_in_blocks_are_those_of_numpy_to_the_last_bit():
+    rng = np.random.default_rng(5)
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    for shape in ((3,), (0, 3), (1, 3), (10_007, 3), (41, 129, 3)):
+        vectors = rng.normal(size=shape)
+        for matrix in (rotation, rotation.T, rotation[0]):
+            np.testing.assert_array_equal(product(vectors, matrix), vectors @ matrix)

@@ -109,7 +109,9 @@ def _read(
         row3 = frames[first + min(k + 3, shifts - 1)][start:stop]
         c0, c1, c2, c3 = weights[k, 0], weights[k + 1, 0], weights[k + 2, 0], weights[k + 3, 0]
         s0, s1, s2, s3 = weights[k, 1], weights[k + 1, 1], weights[k + 2, 1], weights[k + 3, 1]
-        w1, w2, w3 = weights[k + 1, 2], weights[k + 2, 2], weights[k + 3, 2]
+        w1 = 1.0 if k + 1 < shifts else 0.0
+        w2 = 1.0 if k + 2 < shifts else 0.0
+        w3 = 1.0 if k + 3 < shifts else 0.0
         for i in range(n):
             value0, value1 = np.float64(row0[i]), np.float64(row1[i])
             value2, value3 = np.float64(row2[i]), np.float64(row3[i])
@@ -176,9 +178,9 @@ def decode_fringes(
         Indices of the frames that are searched for saturated and non-finite pixels.
     sets : (S, 3) int64
         First frame, shifts N and fringe count n of each set, in order of unwrapping.
-    weights : (S, K, 3) float64
-        cos and sin of 2 pi k / N of each set and one, for k < N; zero from there to K, the
-        largest N rounded up to a multiple of four.
+    weights : (S, K, 2) float64
+        cos and sin of 2 pi k / N of each set for k < N; zero from there to K, the largest N
+        rounded up to a multiple of four.
     size : float
         Panel pixels along the axis.
     scale : (3,) float64
