@@ -139,7 +139,9 @@ def _blocks(parts: Sequence[Part]) -> Iterator[dict[str, Any]]:
 def _block(part: Part) -> dict[str, Any]:
     if isinstance(part, Table):
         rows = part.texts()
-        return {"kind": "table", "numeric": _numeric(rows), "rows": rows}
+        # A unit stays with its slash where a heading is broken.
+        headings = [heading.replace(" / ", " /\N{NO-BREAK SPACE}") for heading in part.columns]
+        return {"kind": "table", "numeric": _numeric(rows), "rows": rows, "headings": headings}
     if isinstance(part, Text):
         return {"kind": "text", "paragraphs": [p for p in part.text.split("\n\n") if p.strip()]}
     assert isinstance(part, Cloud)

@@ -15,6 +15,7 @@ from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection
 from slbench.calibration.summary import gross_note
 from slbench.core.io import OutputFolder, atomic_path, write_json, write_table
+from slbench.core.show.display import length_unit
 from slbench.twin.experiment import Experiment
 
 Array = NDArray[np.float64]
@@ -225,20 +226,23 @@ def residuals_figure(data: CalibrationPoints, selection: Selection) -> Figure:
     points = data.select(selection.validation)
     residuals = selection.model.predict(points.inputs(selection.model.axes)) - points.world
     figure = Figure(figsize=(13.0, 4.2), dpi=100, layout="constrained")
+    field = length_unit(points.world[:, [0, 2]])
+    # One unit for the three: they are compared with each other.
+    small = length_unit(np.percentile(np.abs(residuals), 98.0))
     for k, (axes, name) in enumerate(zip(figure.subplots(1, 3), "xyz", strict=True)):
-        values = _UM * residuals[:, k]
+        values = small.per_mm * residuals[:, k]
         limit = max(float(np.percentile(np.abs(values), 98.0)), 1e-6)
         shown = axes.scatter(
-            points.world[:, 0],
-            points.world[:, 2],
+            field.per_mm * points.world[:, 0],
+            field.per_mm * points.world[:, 2],
             c=values,
             s=14,
             cmap="RdBu_r",
             vmin=-limit,
             vmax=limit,
         )
-        axes.set_xlabel("x / mm")
-        axes.set_ylabel("z / mm")
+        axes.set_xlabel(f"x / {field.name}")
+        axes.set_ylabel(f"z / {field.name}")
         axes.set_title(f"validation residual of {name}")
-        figure.colorbar(shown, ax=axes, label="µm")
+        figure.colorbar(shown, ax=axes, label=small.name)
     return figure

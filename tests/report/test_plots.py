@@ -12,8 +12,16 @@ from matplotlib.figure import Figure
 import slbench as sl
 from slbench.core import registry
 from slbench.core.registry import resolved
+from slbench.core.show.display import length_unit
 from slbench.core.show.drawing import figure, write_figure
 from slbench.report.plots import DRAWERS
+from slbench.report.plots.relief import (
+    View,
+    image_normals,
+    scattered_normals,
+    shading,
+    surface_image,
+)
 
 
 @pytest.fixture(scope="module")
@@ -195,3 +203,68 @@ def test_other_packages_add_drawers(monkeypatch):
 def test_a_value_without_a_drawer_is_refused():
     with pytest.raises(sl.InputError, match="plot: expected a value that has a drawer, got Other"):
         figure(Other())
+
+
+# -- shaded surfaces ------------------------------------------------------------------------------
+
+
+def roof(count, rng):
+    """Return points of a roof of 30 deg about the y axis, and the upward normals of its sides."""
+    x, y = rng.uniform(-10.0, 10.0, (2, count))
+    slope = np.tan(np.pi / 6.0)
+    normals = np.column_stack((np.sign(x) * slope, np.zeros(count), np.ones(count)))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.column_stack((x, y, -slope * np.abs(x))), normals
+
+
+def test_normals_of_scattered_points_are_the_surfaces():
+    points, normals = roof(4000, np.random.default_rng(3))
+    found = scattered_normals(points)
+    away = np.abs(points[:, 0]) > 1.5  # sixteen neighbours reach some 0.7 mm
+    np.testing.assert_allclose(found[away], normals[away], atol=1e-9)
+
+
+def test_normals_of_an_image_are_the_surfaces():
+    u, v = np.meshgrid(np.arange(60.0), np.arange(40.0))
+    plane = np.stack((0.1 * u, -0.1 * v, 0.02 * u - 0.05 * v), axis=-1)
+    found = image_normals(plane)
+    normal = np.array((-0.2, -0.5, 1.0)) / np.linalg.norm((-0.2, -0.5, 1.0))
+    # In float32, with a side of some 0.4 mm between the ends of a difference.
+    np.testing.assert_allclose(
+        found[5:-5, 5:-5].reshape(-1, 3), normal[None] + np.zeros((1500, 3)), atol=1e-5
+    )
+
+
+def test_shade_is_one_where_level_and_darker_away_from_the_light():
+    level, to_light, away = np.eye(3)[2], np.array((-0.5, 0.0, 0.87)), np.array((0.9, 0.0, 0.44))
+    level_shade, bright, dark = shading(np.stack((level, to_light, away)))
+    assert level_shade == pytest.approx(1.0)
+    assert bright > 1.0 > dark
+    assert shading(np.full((1, 3), np.nan)) == pytest.approx(1.0)
+
+
+def test_points_that_fill_a_volume_have_no_shade():
+    rng = np.random.default_rng(4)
+    grid = np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3)
+    for points in (grid + rng.normal(0.0, 1e-4, grid.shape), rng.uniform(0.0, 1.0, (3000, 3))):
+        assert np.isnan(scattered_normals(points)).all()
+
+
+def test_the_nearest_point_hides_those_behind_it():
+    box = np.array(((-1.0, -1.0, -1.0), (1.0, 1.0, 1.0)))
+    view = View.of(box, 60.0, 60.0)
+    sight = view.towards
+    points = np.array((0.3 * sight, -0.3 * sight))
+    red, blue = np.eye(3)[0], np.eye(3)[2]
+    for order in ((0, 1), (1, 0)):
+        image = surface_image(points[list(order)], np.array((red, blue))[list(order)], view, 60, 60)
+        shown = image[image[..., 3] > 0.9]
+        assert len(shown)
+        np.testing.assert_allclose(shown[:, :3], red[None] + np.zeros((len(shown), 3)), atol=1e-6)
+
+
+def test_units_fit():
+    assert [length_unit(v).name for v in (25.0, [0.06, 0.01], 3e-5, np.nan, 0.0)] == [
+        *("mm", "µm", "nm"),
+        *("mm", "mm"),
+    ]

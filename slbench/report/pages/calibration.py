@@ -12,6 +12,7 @@ from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection
 from slbench.calibration.summary import score_rows
 from slbench.core.io import provenance
+from slbench.core.show.display import length_unit
 from slbench.core.show.document import Cell, Cloud, Page, Part, Picture, Table
 from slbench.twin.experiment import Experiment
 from slbench.twin.report import (
@@ -137,10 +138,14 @@ def _coefficients(selection: Selection) -> Table:
 def _cloud(points: CalibrationPoints, selection: Selection) -> Cloud:
     """Return the points as the model has them, coloured by what it is off."""
     predicted = selection.model.predict(points.inputs(selection.model.axes))
-    residual = _UM * (predicted - points.world)
-    values = {f"residual of {name} / µm": residual[:, k] for k, name in enumerate("xyz")}
-    order = ("residual of z / µm", "residual of x / µm", "residual of y / µm")
-    colours = {name: values[name] for name in order}
-    colours["residual in space / µm"] = np.linalg.norm(residual, axis=1)
+    residual = predicted - points.world
+    # One unit for all: they are compared with each other.
+    unit = length_unit(np.percentile(np.abs(residual), 98.0))
+    residual *= unit.per_mm
+    colours = {
+        f"residual of {name} / {unit.name}": residual[:, k]
+        for k, name in ((2, "z"), (0, "x"), (1, "y"))
+    }
+    colours[f"residual in space / {unit.name}"] = np.linalg.norm(residual, axis=1)
     caption = "Markings where the model puts them, training and validation; truth: nominal places."
     return Cloud("Calibration points", predicted, colours, points.world, caption)

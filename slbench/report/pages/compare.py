@@ -17,11 +17,14 @@ from slbench.bench.compare.comparison import Comparison, SetResult
 from slbench.bench.compare.tiles import Pair
 from slbench.core.io import OutputFolder, provenance, write_exr, write_json
 from slbench.core.io.atomic import write_bytes
+from slbench.core.show.display import length_unit
 from slbench.core.show.document import Page, Picture, Table
 
 #: Maps beside one another; more sets go below.
 _COLUMNS = 4
 _UM = 1e3
+#: A length that makes µm the least unit of a table, mm.
+_UM_LEAST = 1e-3
 
 _CAPTION = (
     "Standard deviation of each point over the repeats, one map a pattern set, in one colour "
@@ -70,32 +73,36 @@ def _order(ranking: tuple[str, ...], pairs: tuple[Pair, ...]) -> str:
 
 
 def _sets(comparison: Comparison) -> Table:
+    sets = comparison.sets
+    # One unit a column, mm where a set is off by as much.
+    std = length_unit(_UM_LEAST, [one.std_median_mm for one in sets])
+    error = length_unit(_UM_LEAST, [(s.error_median_mm, s.bias_mm, s.rms_mm) for s in sets])
     columns = (
         "set",
         "frames",
-        "std / µm",
+        f"std / {std.name}",
         "95 %",
         "std / predicted",
-        "error / µm",
-        "bias / µm",
-        "RMS / µm",
+        *(f"{name} / {error.name}" for name in ("error", "bias", "RMS")),
         "order errors",
         "complete / %",
+        "seconds",
     )
     rows = tuple(
         (
             one.name,
             one.frames,
-            _UM * one.std_median_mm,
-            _interval(one.std_ci95_mm, _UM),
+            std.per_mm * one.std_median_mm,
+            _interval(one.std_ci95_mm, std.per_mm),
             one.std_over_predicted,
-            _UM * one.error_median_mm,
-            _UM * one.bias_mm,
-            _UM * one.rms_mm,
+            error.per_mm * one.error_median_mm,
+            error.per_mm * one.bias_mm,
+            error.per_mm * one.rms_mm,
             one.order_error_rate,
             100.0 * one.completeness,
+            one.seconds,
         )
-        for one in comparison.sets
+        for one in sets
     )
     share = 100.0 * comparison.pixels / comparison.lit_pixels
     equal = "" if comparison.equal is None else f", equal {comparison.equal}"
@@ -129,18 +136,23 @@ def _pairs(title: str, pairs: tuple[Pair, ...]) -> Table:
 
 
 def _steps(comparison: Comparison) -> Table:
+    found = [(one.name, step) for one in comparison.sets for step in one.steps]
+    size = length_unit(_UM_LEAST, [step.nominal_mm for _, step in found])
+    small = length_unit(_UM_LEAST, [(step.deviation_mm, step.std_mm) for _, step in found])
     rows = tuple(
         (
-            one.name,
-            step.nominal_mm,
-            step.measured_mm,
-            _UM * step.deviation_mm,
-            _UM * step.std_mm,
+            name,
+            size.per_mm * step.nominal_mm,
+            size.per_mm * step.measured_mm,
+            small.per_mm * step.deviation_mm,
+            small.per_mm * step.std_mm,
         )
-        for one in comparison.sets
-        for step in one.steps
+        for name, step in found
     )
-    columns = ("set", "nominal / mm", "mean / mm", "error / µm", "std / µm")
+    columns = (
+        *("set", f"nominal / {size.name}", f"mean / {size.name}"),
+        *(f"error / {small.name}", f"std / {small.name}"),
+    )
     return Table("Steps", columns, rows, f"Mean and deviation over {comparison.repeats} repeats.")
 
 

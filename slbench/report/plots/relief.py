@@ -38,6 +38,9 @@ _AMBIENT, _BRIGHTEST = 0.35, 1.2
 _NEIGHBOURS = 16
 #: Least share of in-plane by all spread at which neighbours are a surface at all.
 _FLAT = 0.5
+#: Points that are asked whether they are a surface, and the median ratio of the distance to the
+#: nearest other one from above and in space below which they fill a volume: a slope of 70 deg.
+_SOME, _ABOVE = 500, 0.35
 #: Pixels drawn for each pixel shown, along each side, which smooths edges.
 _FINER = 2
 #: Most points that are drawn; more do not show.
@@ -105,9 +108,10 @@ def scattered_normals(points: Array) -> Array:
     """Return unit normals of scattered points on a surface, (N, 3), upward.
 
     Each is that of the plane through a point's sixteen nearest neighbours; NaN where they do
-    not lie in a plane, and where there are not as many.
+    not lie in a plane, where there are not as many, and where points fill a volume: then many
+    stand above each other, nearer by x and y alone than any two are in space.
     """
-    if len(points) < _NEIGHBOURS:
+    if len(points) < _NEIGHBOURS or _fill_volume(points):
         return np.full((len(points), 3), np.nan)
     near = points[cKDTree(points).query(points, _NEIGHBOURS, workers=1)[1]]
     apart = near - near.mean(axis=1, keepdims=True)
@@ -115,6 +119,14 @@ def scattered_normals(points: Array) -> Array:
     normals = directions[:, :, 0] * np.where(directions[:, 2:, 0] < 0.0, -1.0, 1.0)
     normals[spread[:, 0] > (1.0 - _FLAT) * spread[:, 1]] = np.nan
     return np.asarray(normals, dtype=np.float64)
+
+
+def _fill_volume(points: Array) -> bool:
+    """Return whether points are no surface that is seen from above."""
+    some = points[:: max(1, len(points) // _SOME)]
+    from_above = cKDTree(points[:, :2]).query(some[:, :2], 2)[0][:, 1]
+    in_space = cKDTree(points).query(some, 2)[0][:, 1]
+    return bool(np.median(from_above / np.maximum(in_space, 1e-300)) < _ABOVE)
 
 
 def coloured(
