@@ -48,7 +48,7 @@ def bench(
 
     chosen = CHAPTERS if chapter == "all" else (chapter,)
     for name in chosen:
-        outcome_folder(name).check(out / name)
+        outcome_folder(name).check(out / name, "--out")
     if report is not None:
         from slbench.report.page import check_page_path, write_page
 

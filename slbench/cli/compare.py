@@ -71,7 +71,7 @@ def compare(
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
     pattern_sets(sets, loaded, shifts=own_shifts(loaded), equal=equal)
     folder = out or Path("out") / f"compare-{loaded.name}"
-    COMPARISON_FOLDER.check(folder)
+    COMPARISON_FOLDER.check(folder, "--out")
     with progress(as_json) as bar:
         result = run(
             loaded,

@@ -34,7 +34,7 @@ def decode(
     from slbench.rig.opencv import read_rig
 
     target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
-    DECODED_FOLDER.check(target)
+    DECODED_FOLDER.check(target, "--out")
     shots = Capture.load(folder, allow_modules=allow_modules)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig, shots.pair))

@@ -60,9 +60,9 @@ def fuse(
 
     stack = None
     if (folder / MANIFEST).exists():
-        FUSED_FOLDER.check(out)
         if out.absolute().resolve().is_relative_to(folder.absolute().resolve()):
             raise InputError("--out", "a folder outside the stack's", out)
+        FUSED_FOLDER.check(out, "--out")
         # Ahead of the measure's name, which a module of the stack may have added.
         stack = FocusStack.load(folder, allow_modules=allow_modules)
     if method == "modulation":
@@ -134,4 +134,4 @@ def _check_out(out: Path, folder: Path) -> None:
     check_output_file(out, (".png",))
     if out.absolute().parent.resolve() == folder.resolve():
         raise InputError("--out", "a file outside the folder that is fused", out)
-    fused_output(out).check(out.parent)
+    fused_output(out).check(out.parent, "--out")

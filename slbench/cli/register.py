@@ -56,7 +56,7 @@ def register_views(
     )
 
     folder = OutputFolder("registered cloud", ("merged.ply", "poses.json"))
-    folder.check(out)
+    folder.check(out, "--out")
     for option, value in (("--stage-um", stage_um), ("--tilt-mrad", tilt_mrad)):
         if not 0.0 < value < np.inf:
             raise InputError(option, "a positive number", value)

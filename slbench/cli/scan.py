@@ -82,7 +82,7 @@ def scan(
             text, steps or given["shifts"], given["axes"] if axes is None else axes
         )
     folder = out or Path("out") / loaded.name
-    SCAN_FOLDER.check(folder)
+    SCAN_FOLDER.check(folder, "--out")
     if page is not None:
         check_page_path(page)
     with progress(as_json) as report:

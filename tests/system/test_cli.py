@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scenes_small import run_cli, write_scene
+from scenes_small import check_refused, run_cli, write_scene
 
 from slbench import __version__
 from slbench.capture.capture import Capture
@@ -107,20 +107,13 @@ def test_scores_and_picture_may_be_left_out(tmp_path, scanned):
 
 
 def contents(folder):
-    """Return every file's bytes, without the time it was made and the time it took."""
-    found = {}
-    for path in sorted(folder.rglob("*")):
-        if path.is_dir():
-            continue
-        name = str(path.relative_to(folder))
-        if path.suffix == ".json":
-            values = read_json(path)
-            values.pop("time_utc", None)
-            values.pop("seconds", None)
-            found[name] = json.dumps(values).encode()
-        else:
-            found[name] = path.read_bytes()
-    return found
+    """Return every file's bytes, but for the provenance's: it has times."""
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in paths
+        if path.name != "provenance.json"
+    }
 
 
 def test_same_seed_same_bytes_another_seed_other_noise(scanned, tmp_path):
@@ -214,16 +207,55 @@ def test_a_table_for_people(tmp_path):
 
 
 @pytest.mark.usefixtures("no_picture")
+@pytest.mark.usefixtures("no_picture")
 def test_an_existing_folder_keeps_what_is_not_replaced(tmp_path):
     scene, out = write_scene(tmp_path), tmp_path / "out"
     out.mkdir()
     (out / "notes.txt").write_text("mine")
-    (out / "frames").mkdir()
-    (out / "frames" / "099.png").write_bytes(b"old")
     ok("scan", scene, "--spp", 1, "--out", out)
     assert (out / "notes.txt").read_text() == "mine"
-    assert not (out / "frames" / "099.png").exists()
-    assert {p.name for p in out.iterdir()} == FILES | {"notes.txt"}
+    names = {p.name for p in out.iterdir()}
+    assert names >= FILES - {"summary.png"} | {"notes.txt"}
+
+
+@pytest.mark.parametrize("name", ["frames/IMG_0001.CR2", "frames/099.png", "cloud.ply", "rig.yaml"])
+def test_files_of_others_where_a_scan_goes_are_refused_before_it(name, tmp_path):
+    # As cases from the field had it: photographs in a folder called frames were removed.
+    scene, out = write_scene(tmp_path), tmp_path / "out"
+    (out / name).parent.mkdir(parents=True)
+    (out / name).write_text("photo")
+    check_refused(run_cli("scan", scene, "--spp", 1, "--out", out), "--out", name, "move it")
+    assert contents(out) == {name: b"photo"}
+
+
+@pytest.mark.usefixtures("no_picture")
+def test_a_scan_without_points_leaves_no_cloud_of_another(tmp_path):
+    scene, out = write_scene(tmp_path, focus={"settings": 2}), tmp_path / "out"
+    ok("scan", scene, "--spp", 1, "--out", out)
+    assert {"cloud.ply", "stack", "all-in-focus"} <= {p.name for p in out.iterdir()}
+    ok("scan", write_scene(tmp_path, exposure={"white_level": 0.001}), "--spp", 1, "--out", out)
+    assert read_json(out / "score.json")["points"] == 0
+    assert not {"cloud.ply", "stack", "all-in-focus"} & {p.name for p in out.iterdir()}
+
+
+@pytest.mark.usefixtures("no_picture")
+def test_a_folder_whose_writing_was_cut_off_is_read_by_no_command(tmp_path):
+    scene, out = write_scene(tmp_path, focus={"settings": 2}), tmp_path / "out"
+    ok("scan", scene, "--spp", 1, "--out", out)
+    listed = read_json(out / "provenance.json")["files"]
+    mark = {"kind": "scan", "files": {name: [digest] for name, digest in listed.items()}}
+    (out / ".slbench-incomplete").write_text(json.dumps(mark))
+    for words in (
+        ["decode", out, "--out", tmp_path / "o"],
+        ["fuse", out / "stack", "--out", tmp_path / "o"],
+        ["register", out / "cloud.ply", out / "cloud.ply", "--positions", out / "score.json"],
+        ["calibrate", "fit", out / "score.json", "--out", tmp_path / "o.json"],
+        ["calibrate", "apply", out / "score.json", out, "--out", tmp_path / "o.ply"],
+        ["design", "patterns", "--capture", out],
+    ):
+        check_refused(run_cli(*words), "cut off")
+    ok("scan", scene, "--spp", 1, "--out", out)
+    ok("decode", out, "--out", tmp_path / "o")
 
 
 # -- decode --------------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ def fused(*arguments):
 def test_grey_photographs(grey, tmp_path):
     out = tmp_path / "results" / "sharp.png"
     found = fused(grey, "--out", out)
-    names = ["sharp.png", "sharp-depth.exr", "sharp-selectivity.exr"]
+    names = ["sharp.png", "sharp-depth.exr", "sharp-selectivity.exr", "sharp-provenance.json"]
     assert sorted(path.name for path in out.parent.iterdir()) == sorted(names)
     assert found["files"] == [str(out.parent / name) for name in names]
     assert (found["frames"], found["bit_depth"], found["channels"]) == (9, 8, 1)
@@ -85,7 +85,9 @@ def test_baselines(grey, tmp_path, method):
     found = fused(grey, "--out", tmp_path / "a.png", "--method", method)
     assert found["method"] == method
     maps = [] if method == "pyramid" else ["a-depth.exr", "a-selectivity.exr"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["a.png", *maps])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        ["a.png", "a-provenance.json", *maps]
+    )
     assert psnr_db(read_grey(tmp_path / "a.png") / 255, PLANE.sharp()) > 32
 
 

@@ -127,12 +127,13 @@ class FusedPhotographs:
 
     def files(self, path: Path) -> list[Path]:
         """Return what :meth:`save` writes."""
-        return [path, *(path.with_name(f"{path.stem}-{name}.exr") for name in self.maps)]
+        maps = [f"{path.stem}-{name}.exr" for name in self.maps]
+        return [path, *map(path.with_name, [*maps, fused_output(path).provenance])]
 
     def save(self, path: Path) -> None:
-        """Write the image (.png) and, beside it, an EXR for each map; all or none."""
+        """Write the image (.png), and beside it an EXR a map and provenance; all or none."""
         with fused_output(path).writing(path.parent, self.to_dict(), None) as temporary:
-            image, *maps = self.files(temporary / path.name)
+            image, *maps, _ = self.files(temporary / path.name)
             write_png(image, self.pixels)
             for file, (name, values) in zip(maps, self.maps.items(), strict=True):
                 write_exr(file, {name: values})

@@ -95,7 +95,7 @@ def run(
         write_points,
     )
 
-    CALIBRATION_FOLDER.check(out)
+    CALIBRATION_FOLDER.check(out, "--out")
     if page is not None:
         check_page_path(page)
     if not np.isfinite(y_step_um) or not np.isfinite(stage_um):

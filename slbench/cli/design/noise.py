@@ -44,7 +44,7 @@ def noise(
     from slbench.scene.file import load_scene
 
     folder = OutputFolder("noise", ("*.csv", "noise.png"))
-    folder.check(out)
+    folder.check(out, "--out")
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
     counts = candidates(
         loaded.rig.projector.width, max_fringes=max_fringes, min_px_per_fringe=min_px_per_fringe

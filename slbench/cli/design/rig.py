@@ -67,7 +67,7 @@ def rig(
     from slbench.report.plots.rig_design import DESIGN_FOLDER, write_design
     from slbench.scene.file import read_merged
 
-    DESIGN_FOLDER.check(out)
+    DESIGN_FOLDER.check(out, "--out")
     loaded = load_hardware(hardware, allow_modules=allow_modules)
     path = resources.find("scenes", hardware)
     begin: Any = None

@@ -37,7 +37,7 @@ def verify(
     from slbench.design.rig.verify import verify as run
 
     folder = OutputFolder("verification", ("verify.json", "verify.png"))
-    folder.check(out)
+    folder.check(out, "--out")
     loaded = load_hardware(hardware, allow_modules=allow_modules)
     if configurations is None:
         rows = feasible_sample(loaded, count, seed)

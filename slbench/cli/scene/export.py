@@ -31,7 +31,7 @@ def export(
 
     if path.suffix.lower() != ".xml":
         raise InputError("path", "a name that ends in .xml", path)
-    files_beside("export", path).check(path.parent)
+    files_beside("export", path).check(path.parent, "path")
     loaded = load_scene(scene, allow_modules=allow_modules)
     if pinhole:
         projector = loaded.rig.projector
