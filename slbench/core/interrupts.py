@@ -1,15 +1,20 @@
 """Signals that ask a program to end: it cleans up first, and leaves nothing half done."""
 
+import os
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any
 
 #: What asks a program to end; SIGHUP is a terminal that is closed, which Windows has not.
 ENDING = tuple(
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
 )
+
+_AGAIN_S = 0.05
 
 
 @contextmanager
@@ -47,23 +52,40 @@ def cleaning_up() -> Iterator[None]:
 
     Its code is 128 and the signal's number, as shells have it.  Without this the process would be
     gone at once, and its temporary files would stay.  What a parent ignores stays ignored.
+
+    Python drops an exception that comes up in a callback of its own, as imports have many: such a
+    signal is sent again a moment later.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-
-    def leave(number: int, frame: FrameType | None) -> None:
-        raise SystemExit(128 + number)
-
     ours = [
         number
         for number in ENDING
         if number != signal.SIGINT and signal.getsignal(number) == signal.SIG_DFL
     ]
+    last = [signal.SIGINT]
+    hook = sys.unraisablehook
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        last[0] = signal.Signals(number)
+        raise SystemExit(128 + number)
+
+    def again(dropped: Any) -> None:
+        if not issubclass(dropped.exc_type, KeyboardInterrupt | SystemExit):
+            hook(dropped)
+            return
+        number = signal.SIGINT if dropped.exc_type is KeyboardInterrupt else last[0]
+        timer = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), number))
+        timer.daemon = True
+        timer.start()
+
     for number in ours:
         signal.signal(number, leave)
+    sys.unraisablehook = again
     try:
         yield
     finally:
+        sys.unraisablehook = hook
         for number in ours:
             signal.signal(number, signal.SIG_DFL)
