@@ -65,8 +65,6 @@ def scan(
     as_json: Json = False,
 ) -> None:
     """Measure a scene: trace, capture, decode, triangulate, score."""
-    from slbench.report.page import check_page_path, write_page
-    from slbench.report.pages.scan import scan_page
     from slbench.scene.file import load_scene
     from slbench.simulate.folder import SCAN_FOLDER, write_scan
     from slbench.simulate.scan import scan as run
@@ -84,6 +82,8 @@ def scan(
     folder = out or Path("out") / loaded.name
     SCAN_FOLDER.check(folder, "--out")
     if page is not None:
+        from slbench.report.page import check_page_path
+
         check_page_path(page)
     with progress(as_json) as report:
         result = run(
@@ -97,6 +97,9 @@ def scan(
         )
         write_scan(result, folder, picture=picture)
         if page is not None:
+            from slbench.report.page import write_page
+            from slbench.report.pages.scan import scan_page
+
             write_page(scan_page(result), page)
     if as_json:
         written = {"out": folder} if page is None else {"out": folder, "report": page}
@@ -111,15 +114,14 @@ def _scan_table(result: Scan) -> Table:
     """Lay a scan's score out for people."""
     from rich.table import Table
 
-    from slbench.report.pages.scan import seconds
-
     table = Table(title=f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}")
     table.add_column("quantity")
     table.add_column("value", justify="right")
     rows = result.rows()
     if result.scores is not None:
         rows += _feature_rows(result.scores)
-    rows.append(("seconds", seconds(result)))
+    seconds = ", ".join(f"{stage} {value:.2f}" for stage, value in result.run.seconds.items())
+    rows.append(("seconds", seconds))
     for row in rows:
         table.add_row(*row)
     return table

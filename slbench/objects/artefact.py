@@ -9,15 +9,17 @@ feature and compares the fit with the feature, as one does with a real step bloc
 import dataclasses
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, numbers
 from slbench.rig.pose import product
+
+if TYPE_CHECKING:
+    import trimesh
 
 #: Name of the face that heights are taken from.
 REFERENCE = "reference"
@@ -78,12 +80,15 @@ class Mesh:
     @cached_property
     def bounds(self) -> NDArray[np.float64]:
         """Lowest and highest corner of the bounding box, (2, 3) float, mm."""
-        return np.asarray(self.as_trimesh.bounds)
+        used = self.vertices[np.unique(self.faces)]
+        return np.stack((used.min(axis=0), used.max(axis=0)))
 
     @cached_property
     def is_watertight(self) -> bool:
         """Whether every edge is shared by exactly two faces."""
-        return bool(self.as_trimesh.is_watertight)
+        edges = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        _, counts = np.unique(edges @ [len(self.vertices), 1], return_counts=True)
+        return bool(np.all(counts == 2))
 
     @cached_property
     def volume(self) -> float:
@@ -126,8 +131,10 @@ class Mesh:
         return Mesh(product(self.vertices, r.T) + t, self.faces)
 
     @cached_property
-    def as_trimesh(self) -> trimesh.Trimesh:
+    def as_trimesh(self) -> "trimesh.Trimesh":
         """The same vertices and faces as trimesh's mesh."""
+        import trimesh  # half a second, and few commands need it
+
         return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 

@@ -41,8 +41,8 @@ _FACTS = {
     "python": "Python",
     "platform": "platform",
 }
-#: Keys of the provenance that are no facts themselves.
-_APART = {"libraries", "parameters", "extensions"}
+#: Keys of the provenance that are no facts themselves; equal results have equal pages.
+_APART = {"libraries", "parameters", "extensions", "time_utc"}
 
 
 def write_page(page: Page, path: str | Path) -> None:

@@ -15,10 +15,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import scipy.sparse
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,6 +25,9 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
 from slbench.core.show.display import block
 from slbench.core.threads import in_bands
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 Marginal = Literal["u", "v", "uv"]
 
@@ -204,6 +206,8 @@ class SparseRows:
 
     def tocsr(self) -> scipy.sparse.csr_array:
         """Return a SciPy sparse array of float32 (a copy of the indices)."""
+        import scipy.sparse  # a scan does without
+
         return scipy.sparse.csr_array(
             (self.data, self.indices.astype(np.int64), self.indptr),
             shape=(self.indptr.size - 1, self.width),

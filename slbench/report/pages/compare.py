@@ -86,7 +86,6 @@ def _sets(comparison: Comparison) -> Table:
         *(f"{name} / {error.name}" for name in ("error", "bias", "RMS")),
         "order errors",
         "complete / %",
-        "seconds",
     )
     rows = tuple(
         (
@@ -100,7 +99,6 @@ def _sets(comparison: Comparison) -> Table:
             error.per_mm * one.rms_mm,
             one.order_error_rate,
             100.0 * one.completeness,
-            one.seconds,
         )
         for one in sets
     )
@@ -313,7 +311,7 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> list[Path]:
     """
     origin = comparison.parameters, comparison.seed
     timings = {
-        "total": comparison.seconds,
+        **comparison.seconds,
         "sets": {one.name: one.seconds for one in comparison.sets},
     }
     with COMPARISON_FOLDER.writing(folder, *origin, timings=timings) as temporary:

@@ -31,10 +31,9 @@ def scan_page(result: Scan) -> Page:
     -------
     Page
     """
-    rows = (*result.rows(), ("seconds", seconds(result)))
     description = str(result.scene.specification.get("description", ""))
     parts: list[Part] = [Text("Scene", description)] if description else []
-    parts.append(Table("Result", ("quantity", "value"), rows))
+    parts.append(Table("Result", ("quantity", "value"), tuple(result.rows())))
     if result.scores is not None:
         parts += feature_tables(result.score)
         if result.fusion is not None:
@@ -43,11 +42,6 @@ def scan_page(result: Scan) -> Page:
     parts += _pictures(result)
     title = f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}"
     return Page(title, tuple(parts), provenance(scan_parameters(result), result.run.seed))
-
-
-def seconds(result: Scan) -> str:
-    """Return the time that each stage took, as it is shown."""
-    return ", ".join(f"{stage} {value:.2f}" for stage, value in result.run.seconds.items())
 
 
 def feature_tables(score: Score) -> list[Table]:

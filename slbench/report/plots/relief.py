@@ -15,7 +15,6 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from slbench.report.plots.layout import (
     TEXT_PT,
@@ -113,6 +112,8 @@ def scattered_normals(points: Array) -> Array:
     """
     if len(points) < _NEIGHBOURS or _fill_volume(points):
         return np.full((len(points), 3), np.nan)
+    from scipy.spatial import cKDTree  # pictures of a scan do without
+
     near = points[cKDTree(points).query(points, _NEIGHBOURS, workers=1)[1]]
     apart = near - near.mean(axis=1, keepdims=True)
     spread, directions = np.linalg.eigh(np.einsum("nki,nkj->nij", apart, apart))
@@ -123,6 +124,8 @@ def scattered_normals(points: Array) -> Array:
 
 def _fill_volume(points: Array) -> bool:
     """Return whether points are no surface that is seen from above."""
+    from scipy.spatial import cKDTree
+
     some = points[:: max(1, len(points) // _SOME)]
     from_above = cKDTree(points[:, :2]).query(some[:, :2], 2)[0][:, 1]
     in_space = cKDTree(points).query(some, 2)[0][:, 1]
