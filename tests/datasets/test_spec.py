@@ -338,7 +338,9 @@ class TestRefused:
         specification, files = load(write_spec(tmp_path, objects=objects))
         place = tmp_path / "place"
         place.mkdir()
-        with pytest.raises(InputError, match=r"^tiny: scene: bad\.ply: expected a mesh") as caught:
+        with pytest.raises(
+            InputError, match=r"^tiny: scene: bad\.ply: expected a PLY file"
+        ) as caught:
             check(specification, files, 0, False, place)
         assert str(tmp_path) not in str(caught.value)
         assert len(list(place.iterdir())) < 20

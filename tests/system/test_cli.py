@@ -58,7 +58,7 @@ def test_scan_of_a_shipped_scene_from_anywhere(tmp_path, monkeypatch):
     assert 0 < result["median_abs_mm"] < result["rms_mm"] < 0.1
     assert result["median_abs_mm"] < result["p95_abs_mm"]
     # A summary is a picture.
-    assert cv2.imread("out/plane/summary.png").shape[1] == 1500
+    assert cv2.imread("out/plane/summary.png").shape[1] == 1600
 
 
 def test_json_is_one_object_with_the_agreed_keys(scanned):

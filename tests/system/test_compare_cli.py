@@ -42,6 +42,10 @@ def test_files(outcome):
     names = {"comparison.json", "comparison.md", "comparison.png", "maps", "provenance.json"}
     assert {path.name for path in (folder / "out").iterdir()} == names
     assert len(list((folder / "out" / "maps").iterdir())) == 3
+    times = printed.pop("seconds")
+    timings = read_json(folder / "out" / "provenance.json")["timings_s"]
+    assert set(timings.pop("sets")) == {one["name"] for one in printed["sets"]}
+    assert timings == times
     del printed["out"]
     assert read_json(folder / "out" / "comparison.json") == printed
     assert cv2.imread(str(folder / "out" / "comparison.png")).shape[1] > 800

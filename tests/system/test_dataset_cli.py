@@ -129,7 +129,7 @@ class TestMake:
         words = ("make", made[0], "--out", tmp_path / "set", "--count", 2, "--workers", 0)
         outcome = run_cli("dataset", *words)
         assert (outcome.status, outcome.out) == (130, "")
-        assert outcome.err == "stopped; --resume makes the rest\n"
+        assert outcome.err == "stopped; --resume makes the rest\ninterrupted\n"
 
     def test_workers_are_told_the_whole_path(self, made, tmp_path, monkeypatch):
         told = []

@@ -187,7 +187,7 @@ class TestBadInput:
         write_png(folder / "3.png", np.zeros((40, 48), dtype=np.uint16))
         self.refused(folder, "3.png", "uint8", "uint16")
         (folder / "3.png").write_bytes(b"not an image")
-        self.refused(folder, "3.png", "decoded")
+        self.refused(folder, "3.png", "image file")
         (folder / "3.png").write_bytes(content[: len(content) // 2])
         self.refused(folder, "3.png")
         (folder / "3.png").write_bytes(b"")
