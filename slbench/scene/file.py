@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from slbench import objects
 from slbench.core import resources
@@ -265,7 +264,11 @@ def _object(
         part: _material(materials, name, f"{where}.materials.{part}")
         for part, name in values.materials.items()
     }
-    rotation = Rotation.from_euler("XYZ", values.rotation_deg, degrees=True).as_matrix()
+    rotation = np.eye(3)
+    if any(values.rotation_deg):
+        from scipy.spatial.transform import Rotation  # a third of a second, for few scenes
+
+        rotation = Rotation.from_euler("XYZ", values.rotation_deg, degrees=True).as_matrix()
     pose = Pose(rotation, np.array(values.position_mm))
     return SceneObject(artefact, pose, material, by_part)
 
