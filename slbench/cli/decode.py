@@ -38,7 +38,7 @@ def decode(
     shots = Capture.load(folder, allow_modules=allow_modules)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig, shots.pair))
-    decoded = decode_capture(shots, min_modulation=min_modulation)
+    decoded = decode_capture(shots, min_modulation=min_modulation, where=folder)
     decoded.save(target, {"folder": str(folder), "rig": str(rig) if rig else None})
     result = decoded.to_dict()
     if as_json:

@@ -66,7 +66,7 @@ def scan(
 ) -> None:
     """Measure a scene: trace, capture, decode, triangulate, score."""
     from slbench.scene.file import load_scene
-    from slbench.simulate.folder import SCAN_FOLDER, write_scan
+    from slbench.simulate.folder import check_scan_folder, write_scan
     from slbench.simulate.scan import scan as run
 
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
@@ -80,7 +80,7 @@ def scan(
             text, steps or given["shifts"], given["axes"] if axes is None else axes
         )
     folder = out or Path("out") / loaded.name
-    SCAN_FOLDER.check(folder, "--out")
+    check_scan_folder(loaded, folder, "--out")
     if page is not None:
         from slbench.report.page import check_page_path
 

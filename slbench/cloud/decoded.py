@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from slbench.capture.capture import Capture
+from slbench.capture.doubts import exposure_doubt
 from slbench.cloud.triangulation import PointCloud, triangulate
+from slbench.core.errors import warn_user
 from slbench.core.io import OutputFolder, write_exr, write_json, write_ply
 from slbench.core.show.display import brief
 from slbench.patterns import PhaseMap
@@ -75,7 +77,9 @@ class Decoded:
             write_json(temporary / "decode.json", self.to_dict())
 
 
-def decode_capture(capture: Capture, *, min_modulation: float | None = None) -> Decoded:
+def decode_capture(
+    capture: Capture, *, min_modulation: float | None = None, where: object = "capture"
+) -> Decoded:
     """Decode a capture, and triangulate it where its rig is known.
 
     Parameters
@@ -83,11 +87,20 @@ def decode_capture(capture: Capture, *, min_modulation: float | None = None) -> 
     capture : Capture
     min_modulation : float, optional
         Least modulation of a valid pixel, DN; as :meth:`Capture.decode` takes it.
+    where : object
+        What to call the capture in a warning, its folder.
 
     Returns
     -------
     Decoded
+
+    Warns
+    -----
+    InputWarning
+        If nearly all pixels are saturated or dark.
     """
     phase = capture.decode(min_modulation=min_modulation)
+    if doubt := exposure_doubt(capture, phase):
+        warn_user(where, doubt)
     cloud = None if capture.rig is None else triangulate(capture.rig, phase)
     return Decoded(capture, phase, cloud)

@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.io import read_opencv_yaml, write_opencv_yaml
 from slbench.rig.device import Camera, Projector
+from slbench.rig.doubts import rig_doubts
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose
 from slbench.rig.rig import ALONE, Pair, Rig
@@ -202,6 +203,11 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
     ------
     InputError
         Naming the file and key that is missing or unusable.
+
+    Warns
+    -----
+    InputWarning
+        If lengths are a thousand times off, or the principal point is that of other frames.
     """
     values = _Values(path)
     camera_pose = values.pose("R_world", "T_world", Pose())
@@ -227,4 +233,7 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
             )
         )
         size = (float(volume[0]), float(volume[1]), float(volume[2]))
-        return Rig({own.camera: camera}, {own.projector: projector}, size)
+        rig = Rig({own.camera: camera}, {own.projector: projector}, size)
+    for what, doubt in rig_doubts(rig):
+        warn_user(f"{path}: {what}", doubt)
+    return rig

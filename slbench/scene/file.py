@@ -22,7 +22,7 @@ import numpy as np
 
 from slbench import objects
 from slbench.core import resources
-from slbench.core.errors import InputError, located
+from slbench.core.errors import InputError, located, warn_user
 from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
 from slbench.core.registry import quoted
@@ -33,6 +33,7 @@ from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
+from slbench.scene.doubts import scene_doubts
 from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 from slbench.scene.tables import SceneTables
@@ -64,9 +65,16 @@ def load_scene(
     ------
     InputError
         Naming the file and key of the first thing that cannot be used.
+
+    Warns
+    -----
+    InputWarning
+        For what can be used and was probably meant otherwise (:mod:`slbench.scene.doubts`).
     """
     path = resources.find("scenes", name_or_path)
     scene, file = _load(path, _objects, allow_modules)
+    for what, doubt in scene_doubts(scene, file):
+        warn_user(f"{path.name}: {what}", doubt)
     if not preview:
         return scene
     divisor = file.preview.divisor or max(1, -(-scene.rig.camera.width // _PREVIEW_WIDTH))

@@ -6,6 +6,7 @@ Every frame is a sparse product and a noise draw.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import cv2
@@ -18,7 +19,8 @@ from slbench.core.random import Word, generator
 from slbench.detector import DetectorModel
 from slbench.patterns import Axis, NoiseModel, PatternSequence, decode, panel_response
 from slbench.rig import Camera, Projector, Rig
-from slbench.scene.model import Exposure
+from slbench.scene.doubts import unlit
+from slbench.scene.model import Exposure, Scene
 from slbench.simulate.transport import LightTransport
 
 #: Memory for noise-free frames at a time.
@@ -26,6 +28,20 @@ _FLOOR_BYTES = 1 << 27
 #: Exposure time that the dark signal is computed with where the light's power is unknown (a
 #: pinhole camera, automatic exposure).
 NOMINAL_EXPOSURE_S = 0.01
+
+
+class NothingLit(InputError):
+    """The projector lights nothing that the camera sees."""
+
+
+@contextmanager
+def lighting(scene: Scene) -> Iterator[None]:
+    """Say of a scene in which nothing is lit why, where its exposure is looked for."""
+    try:
+        yield
+    except NothingLit as error:
+        why = f"none: {unlit(scene)}"
+        raise NothingLit(f"scene {scene.name}", error.expected, why) from None
 
 
 class Shutter(NamedTuple):
@@ -148,7 +164,8 @@ def shutter_for(
     Raises
     ------
     InputError
-        For an absolute exposure through a pinhole, or where the projector lights nothing.
+        For an absolute exposure through a pinhole, or where the projector lights nothing
+        (:class:`NothingLit`).
     """
     time, per_second = exposure.time_s, None
     if time is not None or np.isfinite(camera.lens.f_number):
@@ -162,7 +179,7 @@ def shutter_for(
     white = transport.white().astype(np.float64)
     lit = white > transport.ambient
     if not np.any(lit):
-        raise InputError("scene", "an object that the projector lights", "none")
+        raise NothingLit("scene", "an object that the projector lights", "none")
     factor = detector.exposure_scale(white[lit], exposure.white_level)
     return Shutter(factor, factor / per_second if per_second else NOMINAL_EXPOSURE_S)
 

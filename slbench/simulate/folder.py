@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 
 from slbench.capture.capture import CAPTURE_ENTRIES
 from slbench.cloud.triangulation import PointCloud
+from slbench.core.errors import warn_user
 from slbench.core.io import OutputFolder, write_json, write_ply
 from slbench.core.show.drawing import write_figure
 from slbench.objects import Mesh
+from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.points import point_errors
 from slbench.simulate.pinholes import all_in_focus
@@ -34,6 +36,33 @@ SCAN_FOLDER = OutputFolder(
 )
 
 
+def check_scan_folder(scene: Scene, folder: str | Path, where: object | None = None) -> None:
+    """Check that a scan may be written to a folder, before the work that makes it.
+
+    Raises
+    ------
+    InputError
+        As :meth:`OutputFolder.check`.
+
+    Warns
+    -----
+    InputWarning
+        If the folder holds a scan of another scene, which will be replaced.
+    """
+    SCAN_FOLDER.check(folder, where)
+    if doubt := replaced_doubt(scene, folder):
+        warn_user(folder, doubt, stacklevel=3)
+
+
+def replaced_doubt(scene: Scene, folder: str | Path) -> str | None:
+    """Question the writing of a scan to a folder that holds one of another scene."""
+    held = SCAN_FOLDER.parameters(folder).get("scene")
+    name = held.get("name") if isinstance(held, dict) else None
+    if not isinstance(name, str) or name == scene.name:
+        return None
+    return f"its scan of {name} is replaced by one of {scene.name}"
+
+
 def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> list[Path]:
     """Write a scan's files; nothing appears in `folder` until all are complete.
 
@@ -52,7 +81,14 @@ def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> lis
         scan says of itself; without scores the number of points),
         ``summary.png``, ``provenance.json``; with focus settings also ``stack/``
         and ``all-in-focus/``, the expected frames through pinholes.
+
+    Warns
+    -----
+    InputWarning
+        As :func:`check_scan_folder`.
     """
+    if doubt := replaced_doubt(result.scene, folder):
+        warn_user(folder, doubt)
     provenance = scan_parameters(result), result.run.seed
     with SCAN_FOLDER.writing(folder, *provenance, timings=result.run.seconds) as temporary:
         result.capture.write_into(temporary)

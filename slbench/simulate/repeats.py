@@ -19,7 +19,7 @@ from slbench.core.random import Word, generator, tagged_seed
 from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
 from slbench.rig import Pose
 from slbench.scene.model import Scene, SceneObject
-from slbench.simulate.expose import radiance_batches, shutter_for
+from slbench.simulate.expose import lighting, radiance_batches, shutter_for
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
@@ -104,13 +104,14 @@ def _frames(
             (shots,) = capture_stack(scene, (transport,), seed=tagged_seed(seed, r)).captures
             yield shots.frames.reshape(len(shots.frames), -1)[:, pixels]
         return
-    factor, exposure_s = shutter_for(transport, scene.rig.camera, scene.detector, scene.exposure)
+    with lighting(scene):
+        shutter = shutter_for(transport, scene.rig.camera, scene.detector, scene.exposure)
     few = np.empty((scene.sequence.n_frames, 1, len(pixels)), np.float32)
     for indices, radiance in radiance_batches(transport, scene.sequence, scene.rig.projector):
         few[indices, 0] = radiance.reshape(len(radiance), -1)[:, pixels]
     for r in range(repeats):
         rng = generator(tagged_seed(seed, r), Word.NOISE)
-        yield scene.detector.expose(few, exposure_s, rng, scale=factor)[:, 0]
+        yield scene.detector.expose(few, shutter.time_s, rng, scale=shutter.photons)[:, 0]
 
 
 def _fused_frames(

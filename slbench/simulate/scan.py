@@ -18,14 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture
+from slbench.capture.doubts import exposure_doubt
 from slbench.capture.stack import FocusStack, FusedCapture, WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
-from slbench.core.errors import InputError, located
+from slbench.core.errors import InputError, located, warn_user
 from slbench.core.show.display import block
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
 from slbench.patterns import PatternSequence, PhaseMap
 from slbench.rig import Pair, Projector
+from slbench.scene.doubts import unlit
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.fusion import FusionScore, score_fusion
@@ -252,6 +254,11 @@ def scan(
         If Mitsuba cannot run here.
     InputError
         If the scene cannot be measured as it is.
+
+    Warns
+    -----
+    InputWarning
+        If nothing is lit, or nearly all lit pixels are saturated or dark.
     """
     # Mitsuba is needed from here on, and only here.
     from slbench.simulate.render.backend.choice import current
@@ -305,6 +312,10 @@ def scan(
             fused = replace(fused, capture=replace(fused.capture, rig=rig))
         with stage("decode"):
             phase = fused.decode()
+        if not truth.lit.any():
+            warn_user(f"scene {scene.name}", f"no pixel is lit: {unlit(replace(scene, rig=rig))}")
+        elif doubt := exposure_doubt(fused.capture, phase, truth.lit):
+            warn_user(f"scene {scene.name}", doubt)
         views[pair] = View(transport=transport, truth=truth, stack=stack, fused=fused, phase=phase)
     with stage("reconstruct"):
         view = views[only]

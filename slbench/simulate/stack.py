@@ -12,7 +12,7 @@ from slbench.capture.stack import FocusStack
 from slbench.core.random import setting_seed
 from slbench.patterns import Flat, PatternSequence
 from slbench.scene.model import Scene
-from slbench.simulate.expose import Shutter, capture, shutter_for
+from slbench.simulate.expose import Shutter, capture, lighting, shutter_for
 from slbench.simulate.transport import LightTransport, Marginal
 
 
@@ -89,7 +89,9 @@ def capture_stack(
             )
         else:
             transport = transports[k]
-        shutter = shutter or shutter_for(transport, rigs[k].camera, detector, exposure)
+        if shutter is None:
+            with lighting(scene):
+                shutter = shutter_for(transport, rigs[k].camera, detector, exposure)
 
         def progress(part: float, done: int = len(captures)) -> None:
             if on_progress:

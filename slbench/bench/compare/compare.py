@@ -45,6 +45,7 @@ from slbench.core.random import tagged_seed
 from slbench.core.show.document import Cloud
 from slbench.core.validation import types
 from slbench.core.validation.values import checked
+from slbench.scene.doubts import unlit
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.stack import traced
@@ -146,7 +147,8 @@ def compare(
     smooth = np.flatnonzero(true.smooth())
     if not len(smooth):
         expected = "smooth surface that the projector lights"
-        raise NothingToCompare(f"scene {scene.name}", expected, "none")
+        why = "none" if true.lit.any() else f"none: {unlit(scene)}"
+        raise NothingToCompare(f"scene {scene.name}", expected, why)
     found: dict[str, Repeats] = {}
     for k, one in enumerate(chosen):
 

@@ -30,6 +30,7 @@ def apply(
     import numpy as np
 
     from slbench.calibration.apply import measure
+    from slbench.calibration.doubts import resolution_doubt
     from slbench.calibration.models.model import CalibrationModel
     from slbench.capture.capture import Capture
     from slbench.core.io import check_output_file, write_ply
@@ -48,7 +49,8 @@ def apply(
         raise InputError(capture, expected, f"none of {decoded}" if decoded else "none")
     if 2 * outside > decoded:
         share = f"{outside} of {decoded} pixels are outside the model's domain"
-        warn_user(capture, f"{share}: another camera, or a larger object?")
+        why = resolution_doubt(calibration, phase.mask.shape)
+        warn_user(capture, f"{share}: {why or 'another camera, or a larger object?'}")
     sigma = measured.sigma_total_mm
     fields = {"sigma": sigma, "extrapolated": measured.extrapolated.astype(np.float64)}
     write_ply(out, measured.cloud.points, fields)

@@ -71,6 +71,15 @@ class OutputFolder:
         with writing(folder):
             self._owned(folder, where, self.entries)
 
+    def parameters(self, folder: str | Path) -> dict[str, Any]:
+        """Return what the results in a folder depend on; empty where there are none."""
+        try:
+            made = json.loads((Path(folder) / self.provenance).read_text(encoding="utf-8"))
+            own = made["kind"] == self.kind and isinstance(made["parameters"], dict)
+        except (OSError, ValueError, TypeError, KeyError):
+            return {}
+        return dict(made["parameters"]) if own else {}
+
     @contextmanager
     def writing(
         self,
