@@ -151,7 +151,7 @@ WRITERS = {
     "calibrate apply": Writer(
         lambda i, o: ["calibrate", "apply", i / "m.json", i / "scan", "--out", o],
         (),
-        ("--min-modulation", "100"),
+        ("--min-modulation", "40"),
         "out.ply",
         needs=(_model, _scan),
     ),

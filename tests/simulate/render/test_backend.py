@@ -41,7 +41,9 @@ def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str
         "except InputError as error:\n    print(error)\n    sys.exit(2)\n"
     )
     clean = {k: v for k, v in os.environ.items() if k not in ("DRJIT_LIBLLVM_PATH",)}
-    environment = {"PYTHONPATH": str(ROOT), "SLBENCH_VARIANT": "llvm_ad_mono", **environment}
+    # Beside what this process has: a site of packages may be there.
+    places = os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH"))))
+    environment = {"PYTHONPATH": places, "SLBENCH_VARIANT": "llvm_ad_mono", **environment}
     return subprocess.run(
         [sys.executable, "-c", script],
         env={**clean, **environment},
