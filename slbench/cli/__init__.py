@@ -21,7 +21,7 @@ import typer
 from slbench import __version__
 from slbench.cli.lazy import Group, command
 from slbench.core.errors import InputError
-from slbench.core.interrupts import cleaning_up
+from slbench.core.interrupts import came_of_interrupt, cleaning_up
 from slbench.core.messages import one_line_messages
 from slbench.core.registry import quoted
 
@@ -106,8 +106,11 @@ def main() -> None:
             messages.refused = True
             if debug:
                 traceback.print_exc()
-            status, message = _explained(error)
-            print("error: " + " ".join(message.split()), file=sys.stderr)
+            if came_of_interrupt(error):
+                status = INTERRUPTED
+            else:
+                status, message = _explained(error)
+                print("error: " + " ".join(message.split()), file=sys.stderr)
         if status in ENDINGS:
             messages.refused = True
             print(ENDINGS[status], file=sys.stderr)

@@ -89,3 +89,18 @@ def cleaning_up() -> Iterator[None]:
         sys.unraisablehook = hook
         for number in ours:
             signal.signal(number, signal.SIG_DFL)
+
+
+def came_of_interrupt(error: BaseException) -> bool:
+    """Return whether an error is what others made of an interrupt.
+
+    Extensions turn what comes up while they are imported into an ``ImportError``.
+    """
+    seen: set[int] = set()
+    cause: BaseException | None = error
+    while cause is not None and id(cause) not in seen:
+        if isinstance(cause, KeyboardInterrupt):
+            return True
+        seen.add(id(cause))
+        cause = cause.__cause__ or cause.__context__
+    return False

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from slbench.core.interrupts import cleaning_up, deferred
+from slbench.core.interrupts import came_of_interrupt, cleaning_up, deferred
 
 DROPPED = """
 import os, signal, sys, time, weakref
@@ -84,3 +84,16 @@ def test_other_threads_have_no_signals():
     thread.start()
     thread.join()
     assert done == [True]
+
+
+def test_an_error_that_is_an_interrupt_in_disguise():
+    def importing():
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise ImportError("initialization failed") from error
+
+    with pytest.raises(ImportError) as caught:
+        importing()
+    assert came_of_interrupt(caught.value)
+    assert not came_of_interrupt(ImportError("no such module"))
