@@ -182,7 +182,7 @@ WRITERS = {
         needs=(_scene,),
     ),
     "design verify": Writer(
-        lambda i, o: ["design", "verify", HARDWARE, "--count", 2, "--spp", 1, "--out", o],
+        lambda i, o: ["design", "verify", HARDWARE, "--count", 3, "--spp", 1, "--out", o],
         *SEEDS,
         dear=True,
     ),
@@ -193,9 +193,9 @@ WRITERS = {
         needs=(_dataset,),
     ),
     "objects build": Writer(
-        lambda i, o: ["objects", "build", "step-block", "--out", o],
+        lambda i, o: ["objects", "build", "spur-gear", "--out", o],
         (),
-        ("--set", "chamfer_mm=0.2"),
+        ("--set", "teeth=24"),
         "out.stl",
     ),
     "scene show": Writer(
