@@ -52,7 +52,7 @@ from slbench.patterns import (
     decode,
     pattern_codes,
 )
-from slbench.rig import ALONE, Pair, Rig
+from slbench.rig import ALONE, Camera, Pair, Rig
 from slbench.rig.opencv import read_rig, write_rig
 
 MANIFEST = "capture.toml"
@@ -279,7 +279,7 @@ def _check_sizes(rig: Rig, frames: tuple[int, ...], panel: tuple[int, int]) -> N
         raise InputError(
             "frames",
             f"the rig's {camera.width} x {camera.height} px",
-            f"{frames[2]} x {frames[1]} px",
+            f"{frames[2]} x {frames[1]} px{_scaled_by(frames, camera)}",
         )
     if panel != (projector.width, projector.height):
         raise InputError(
@@ -287,6 +287,19 @@ def _check_sizes(rig: Rig, frames: tuple[int, ...], panel: tuple[int, int]) -> N
             f"the rig's {projector.width} x {projector.height} px",
             f"{panel[0]} x {panel[1]} px",
         )
+
+
+def _scaled_by(frames: tuple[int, ...], camera: Camera) -> str:
+    """Say by what whole factor frames are smaller or larger than a camera's, if by one."""
+    for factor in range(2, 17):
+        for one, other, word in (
+            (frames[1:], (camera.height, camera.width), "smaller"),
+            ((camera.height, camera.width), frames[1:], "larger"),
+        ):
+            # An odd row or column is left out in binning.
+            if all(0 <= b - factor * a < factor for a, b in zip(one, other, strict=True)):
+                return f", {factor} times {word}: a calibration at another resolution?"
+    return ""
 
 
 def _read_frames(folder: Path, names: Sequence[str]) -> NDArray[Any]:

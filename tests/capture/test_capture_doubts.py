@@ -5,7 +5,9 @@ import pytest
 
 from slbench.capture.capture import Capture
 from slbench.capture.doubts import exposure_doubt
+from slbench.core.errors import InputError
 from slbench.patterns import PatternSequence
+from slbench.rig import Camera, Lens, Pose, Projector, Rig
 
 SEQUENCE = PatternSequence.parse("1,4", (64, 48), 3, "u")
 SHAPE = (40, 50)
@@ -78,3 +80,27 @@ def test_a_small_object_before_nothing_is_neither():
 
 def test_where_nothing_is_lit_the_exposure_is_not_the_matter():
     assert doubt(capture(0.0), np.zeros(SHAPE, bool)) is None
+
+
+@pytest.mark.parametrize(
+    ("size", "word"),
+    [
+        ((100, 80), ", 2 times smaller: a calibration"),
+        ((101, 81), ", 2 times smaller"),  # binning leaves out an odd row and column
+        ((25, 20), ", 2 times larger"),
+        ((400, 320), ", 8 times smaller"),
+        ((100, 160), None),  # not the same along both axes
+        ((60, 48), None),
+    ],
+)
+def test_a_rig_s_size_that_is_a_multiple_of_the_frames_is_named(size, word):
+    pose = Pose.looking_at((0, 0, 450), (0, 0, 0), (0, -1, 0))
+    camera = Camera(*size, (0.0074, 0.0074), Lens(16.0), pose=pose)
+    projector = Projector(64, 48, (0.0108, 0.0108), Lens(28.0), pose=pose)
+    with pytest.raises(InputError) as refused:
+        Capture(capture(200.0).frames, SEQUENCE, rig=Rig(camera, projector))
+    assert f"the rig's {size[0]} x {size[1]} px, got 50 x 40 px" in str(refused.value)
+    if word is None:
+        assert str(refused.value).endswith("50 x 40 px")
+    else:
+        assert word in str(refused.value)

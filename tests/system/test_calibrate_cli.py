@@ -116,6 +116,7 @@ def test_apply_says_how_many_are_outside(folder, tmp_path):
     assert "pixels outside the model's domain left out" in outcome.out
     # The plane is larger than the volume: more than half of it is outside.
     assert outcome.err.startswith("warning: ")
+    assert "or a larger object?" in outcome.err
     assert len(outcome.err.splitlines()) == 1
 
 
@@ -127,6 +128,26 @@ def test_apply_does_not_warn_of_less_than_half(folder, tmp_path):
     outcome = run_cli("calibrate", "apply", wide, folder / "capture-u", "--out", out, "--json")
     assert json.loads(outcome.out)["outside"] == 0
     assert outcome.err == ""
+
+
+@pytest.mark.parametrize(
+    ("factor", "word"), [(0.25, "a preview"), (0.125, "a preview"), (4, "camera with more pixels")]
+)
+def test_apply_knows_a_model_of_another_resolution(folder, tmp_path, factor, word):
+    # Camera pixels of the model times the factor: what a fit at that resolution would have.
+    content = json.loads((folder / "u.json").read_text())
+    for key in ("mean_px", "scale_px"):
+        u, v, panel = content[key]
+        content[key] = [factor * u, factor * v, panel]
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(content))
+    out = tmp_path / "cloud.ply"
+    outcome = run_cli("calibrate", "apply", other, folder / "capture-u", "--out", out)
+    assert outcome.status == 0
+    (line,) = outcome.err.splitlines()
+    assert line.startswith("warning: ")
+    assert word in line
+    assert "the frames have 160 x 120 px" in line
 
 
 def test_apply_warns_of_another_camera_s_capture(folder, tmp_path):
