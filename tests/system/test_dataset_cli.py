@@ -97,9 +97,7 @@ class TestMake:
             text=True,
         )
         assert child.returncode == 0, child.stderr
-        assert ("dashboard: http" in child.stderr) == (
-            importlib.util.find_spec("bokeh") is not None
-        )
+        assert "dashboard" not in child.stderr  # what others of this machine could read
         assert "samples 1/1" in child.stderr
         assert hashes(tmp_path / "set") == hashes(out)[:1]
 

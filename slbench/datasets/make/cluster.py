@@ -4,6 +4,12 @@ A worker of this machine's own makes one sample at a time, with its share of the
 uses many, but a good part of a sample (building the scene, truth, decoding, files) uses one, so
 a worker a core serves a machine better than one worker with all of them (docs/how-to/datasets.md
 has the measurement).
+
+Whoever can talk to a scheduler can run code as its user, and a port of this machine is open to
+all who have an account on it.  Workers of this machine's own therefore speak TLS, with a key that
+is made for the run and kept in memory; without workers, nothing is said over a port.  Ports are
+open to the loopback interface alone, HTTP servers have no page, and what is put aside (pickles)
+lies in a folder that others cannot enter.
 """
 
 from __future__ import annotations
@@ -31,6 +37,8 @@ _MEMORY_BYTES = 2 << 30
 #: What a worker of this machine's own does first: an interrupt from the terminal reaches all
 #: processes, and the client ends the others.
 _DEAF = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+#: Dask starts HTTP servers whatever is asked for; these have no page.
+_NO_PAGES = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
 #: How often the client looks whether the cluster is still there, s.
 _LOOK_S = 1.0
 
@@ -152,21 +160,38 @@ def local_cluster(workers: int) -> Iterator[Cluster]:
     with (
         # Drawn objects come once: they must not push others out of the user's cache.
         temporary_folder("objects") as objects,
+        temporary_folder("workers") as aside,
+        extra("dask").config.set(_NO_PAGES | {"temporary-directory": str(aside)}),
         distributed.LocalCluster(
             n_workers=max(1, workers),
             threads_per_worker=1,
             processes=workers > 0,
+            host="127.0.0.1" if workers else None,
+            security=_temporary_keys() if workers else None,
             dashboard_address="127.0.0.1:0",  # None would be a fixed port, which may be taken
+            scheduler_kwargs={"dashboard": False},
             silence_logs=logging.CRITICAL,
             **(
                 {"env": _worker_variables(threads, str(objects)), "preload": _DEAF}
                 if workers
-                else {}
+                else {"worker_class": _worker_here}
             ),
         ) as local,
         distributed.Client(local) as client,
     ):
-        yield Cluster(client, _dashboard(client) if workers else None)
+        yield Cluster(client, None)
+
+
+def _worker_here(*arguments: Any, **options: Any) -> Any:
+    """Return a worker of this process; alone it would open its HTTP server to the network."""
+    own = {"dashboard": False, "dashboard_address": "127.0.0.1:0"}
+    return extra("distributed").Worker(*arguments, **options | own)
+
+
+def _temporary_keys() -> Any:
+    """Return a key and a certificate that client, scheduler and workers share for one run."""
+    extra("cryptography")  # distributed asks for it late, and names another way to get it
+    return extra("distributed.security").Security.temporary()
 
 
 @contextmanager
