@@ -1,5 +1,6 @@
 """Mesh files of any format and unit arrive in millimetres; bad ones say what is wrong."""
 
+import json
 import warnings
 
 import numpy as np
@@ -8,7 +9,7 @@ import trimesh
 
 from slbench import objects
 from slbench.core.errors import InputError
-from slbench.objects.mesh.file import MILLIMETRES
+from slbench.objects.mesh.file import MILLIMETRES, _read
 
 FORMATS = ["stl", "ply", "obj", "off", "glb", "stl_ascii"]
 
@@ -173,3 +174,20 @@ def test_a_certified_size_catches_a_wrong_unit(block, tmp_path):
     export(block.mesh, tmp_path / "a.stl", scale=25.4)
     with pytest.raises(InputError, match=r"size_x_mm.*2\.20"):
         objects.load_artefact(write_toml(tmp_path, "a.stl", "size_x_mm = 56.0"))
+
+
+@pytest.mark.parametrize("start", ["../", "%2e%2e/", "a/../../"])
+def test_buffers_of_gltf_lie_beside_it(start, block, tmp_path):
+    (tmp_path / "scene").mkdir()
+    solid = trimesh.Trimesh(block.mesh.vertices, block.mesh.faces, process=False)
+    for name, content in trimesh.exchange.gltf.export_gltf(trimesh.Scene(solid)).items():
+        (tmp_path / "scene" / name).write_bytes(content)
+        (tmp_path / name).write_bytes(content)  # as good, but elsewhere
+    path = tmp_path / "scene" / "model.gltf"
+    assert len(_read(path, 1.0).faces) == len(block.mesh.faces)
+    tables = json.loads(path.read_text())
+    for buffer in tables["buffers"]:
+        buffer["uri"] = start + buffer["uri"]
+    path.write_text(json.dumps(tables))
+    with pytest.raises(InputError, match="inside"):
+        _read(path, 1.0)

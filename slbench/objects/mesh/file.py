@@ -10,10 +10,12 @@ middle of the bounding box is at x = y = 0 and its bottom at z = 0.
 import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
+from urllib.parse import unquote
 
 import numpy as np
 import trimesh
 
+from slbench.core import resources
 from slbench.core.errors import InputError, warn_user
 from slbench.core.io.arrays import check_ply
 from slbench.core.io.bounds import check_size, check_unpacked
@@ -153,8 +155,17 @@ def _loaded(path: Path) -> Any:
 
 
 def _check_gltf(path: Path, content: bytes) -> None:
-    """Refuse what promises more numbers than the file can hold; the reader makes room first."""
-    counts = [int(accessor["count"]) for accessor in json.loads(content).get("accessors", [])]
+    """Refuse what promises more numbers than the file can hold, or names files elsewhere.
+
+    The reader makes room first, and follows any path.
+    """
+    parts = json.loads(content)
+    for part in [*parts.get("buffers", []), *parts.get("images", [])]:
+        name = part.get("uri", "data:")
+        if not name.startswith("data:"):
+            for written in {name.strip(), unquote(name).strip()}:
+                resources.inside(path.parent, written)
+    counts = [int(accessor["count"]) for accessor in parts.get("accessors", [])]
     matrix = 16 * 4  # the largest item, of numbers of four bytes
     check_unpacked(path, matrix * sum(map(abs, counts)), path.stat().st_size)
 
