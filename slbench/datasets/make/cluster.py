@@ -38,7 +38,10 @@ _MEMORY_BYTES = 2 << 30
 #: processes, and the client ends the others.
 _DEAF = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_IGN)\n"
 #: Dask starts HTTP servers whatever is asked for; these have no page.
-_NO_PAGES = {"distributed.scheduler.http.routes": [], "distributed.worker.http.routes": []}
+_NO_PAGES: dict[str, Any] = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
 #: How often the client looks whether the cluster is still there, s.
 _LOOK_S = 1.0
 
