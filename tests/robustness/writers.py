@@ -195,7 +195,7 @@ WRITERS = {
     "objects build": Writer(
         lambda i, o: ["objects", "build", "spur-gear", "--out", o],
         (),
-        ("--set", "teeth=24"),
+        ("--set", "teeth=30"),
         "out.stl",
     ),
     "scene show": Writer(
