@@ -96,16 +96,17 @@ def unlit(scene: Scene) -> str:
     Returns
     -------
     str
-        Sizes, distances and fields of view, the likely cause, and the command that draws the
-        scene; one line.
+        The command that draws the scene, sizes, distances and fields of view, and the likely
+        cause; one line.
     """
     rig = scene.rig
-    parts = [f"{what}: {doubt}" for what, doubt in rig_doubts(rig)]
+    # The command first: a long line is cut off at its end.
+    name = scene.name if scene.name in resources.names("scenes") else "SCENE"
+    parts = [f"draw it with `slbench scene show {name} --out rig.png`"]
+    parts += [f"{what}: {doubt}" for what, doubt in rig_doubts(rig)]
     parts += [_described(item, rig) for item in scene.objects[:_MOST]]
     if len(scene.objects) > _MOST:
         parts.append(f"and {len(scene.objects) - _MOST} more objects")
-    name = scene.name if scene.name in resources.names("scenes") else "SCENE"
-    parts.append(f"`slbench scene show {name} --out rig.png` draws it")
     return "; ".join(parts)
 
 

@@ -104,7 +104,7 @@ def test_a_scene_s_line_has_sizes_distances_fields_and_the_command(mesh):
         f"{distance:.4g} mm from the camera, whose field there is 134 x 101 mm",
         'in metres (unit = "m") it would be 20 x 20 x 10 mm',
         "and 2 more objects",
-        "`slbench scene show step-block --out rig.png` draws it",
+        "draw it with `slbench scene show step-block --out rig.png`; ",
     ):
         assert words in line
     assert "\n" not in line

@@ -70,6 +70,24 @@ def test_an_object_out_of_view(tmp_path, position, cause):
     check_refused(scan(tmp_path, objects=here), cause, "step-block-5 is ", "camera's")
 
 
+def test_a_rig_in_metres(tmp_path):
+    # The rig of the file's base, every length of it a thousandth.
+    lengths = {"z_ref_mm": 0.7563, "w_mm": -0.4125, "h_mm": -0.1, "l_mm": 0.3375}
+    outcome = scan(tmp_path, rig=lengths)
+    baseline = "camera and projector are 0.5423 mm apart; in metres it would be 542.3 mm"
+    first, second = outcome.err.splitlines()
+    assert first == f"warning: mine.toml: baseline: {baseline}"
+    assert second.startswith(
+        "warning: scene mine: no pixel is lit: draw it with `slbench scene show"
+    )
+    for words in (
+        baseline,
+        "whose field there is 0.134 x 0.101 mm",
+        "the camera's lens lies within",
+    ):
+        assert words in second
+
+
 @pytest.mark.parametrize("size", [0.02, 0.05])
 def test_a_mesh_in_metres_on_a_stage(tmp_path, size):
     trimesh.creation.box((size, size, size)).export(tmp_path / "part.stl")
