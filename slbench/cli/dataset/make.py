@@ -88,9 +88,6 @@ def make(
     except (LostError, SupersededError) as error:
         print(f"stopped: {error}; --resume makes the rest", file=sys.stderr)
         raise typer.Exit(1) from None
-    except KeyboardInterrupt:
-        print("stopped; --resume makes the rest", file=sys.stderr)
-        raise typer.Exit(130) from None
     if as_json:
         print_json(made.to_dict() | {"out": out})
     else:

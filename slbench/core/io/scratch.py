@@ -84,12 +84,15 @@ def held(folder: Path) -> Iterator[None]:
 
 def _clear(parent: Path, name: str) -> None:
     """Remove what dead processes of this user left under a name."""
+    if fcntl is None:
+        return
     try:
         found = [
             Path(entry.path)
             for entry in os.scandir(parent)
             if (match := _NAME.fullmatch(entry.name)) and match[1] == name
             if entry.is_dir(follow_symlinks=False)
+            if entry.stat(follow_symlinks=False).st_uid == os.getuid()
         ]
     except OSError:
         return
