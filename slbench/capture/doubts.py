@@ -44,7 +44,11 @@ def exposure_doubt(
         return None
     brightest: NDArray[Any] = capture.frames.max(axis=0)
     top = capture.saturation_dn or 2**capture.bit_depth - 1
-    full = brightest >= top
+    full = np.zeros(brightest.shape, dtype=np.bool_)
+    for placed in capture.sequence.placed():
+        for k, frame in enumerate(placed.frames):
+            if not placed.code.may_saturate(k):  # or the pixel is decoded all the same
+                full |= capture.frames[frame] >= top
     known = lit is not None
     if lit is None:
         swing = brightest - capture.frames.min(axis=0)

@@ -6,7 +6,7 @@ import pytest
 from slbench.capture.capture import Capture
 from slbench.capture.doubts import exposure_doubt
 from slbench.core.errors import InputError
-from slbench.patterns import PatternSequence
+from slbench.patterns import Fringes, PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
 
 SEQUENCE = PatternSequence.parse("1,4", (64, 48), 3, "u")
@@ -35,6 +35,14 @@ def test_a_good_exposure_is_not_questioned():
 def test_a_saturated_scan_is_questioned(known):
     shots = capture(2000.0)
     assert "saturated (at 255 DN)" in doubt(shots, np.ones(SHAPE, bool) if known else None)
+
+
+def test_frames_that_may_saturate_are_no_matter(monkeypatch):
+    shots = capture(2000.0)
+    phase = shots.decode()
+    assert exposure_doubt(shots, phase)
+    monkeypatch.setattr(Fringes, "may_saturate", lambda self, k: True)
+    assert exposure_doubt(shots, phase) is None
 
 
 def test_nine_tenths_of_the_lit_pixels_are_the_limit():
