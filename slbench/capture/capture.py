@@ -42,7 +42,7 @@ from slbench.core.io import OutputFolder, read_grey, read_toml, write_png, write
 from slbench.core.modules import load_modules, save_modules
 from slbench.core.show.display import block
 from slbench.core.show.drawing import figure
-from slbench.core.validation.types import BitDepth, Count, MinLen, NotNegative, Positive, Word
+from slbench.core.validation.types import BitDepth, Grey, GreyLevel, MinLen, Positive, Word
 from slbench.core.validation.values import Value, validated
 from slbench.patterns import (
     MIN_MODULATION_DN,
@@ -71,8 +71,8 @@ class CaptureTable(Value):
     format: Literal[1] = 1
     modules: tuple[str, ...] = ()
     bit_depth: BitDepth | None = None
-    saturation_dn: Count | None = None
-    min_modulation_dn: NotNegative | None = None
+    saturation_dn: GreyLevel | None = None
+    min_modulation_dn: Grey | None = None
     exposure_ms: Positive | None = None
     rig: str | None = None
     noise: NoiseModel | None = None
@@ -111,8 +111,8 @@ class Capture(Value):
     noise: NoiseModel | None = None
     rig: Rig | None = None
     exposure_s: Positive | None = None
-    saturation_dn: Count | None = None
-    min_modulation_dn: NotNegative | None = None
+    saturation_dn: GreyLevel | None = None
+    min_modulation_dn: Grey | None = None
     pair: Pair = ALONE
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
-from slbench.core.validation.types import MaxLen, MinLen, Positive
+from slbench.core.validation.types import MaxLen, Measure, MinLen
 from slbench.core.validation.values import Value
 from slbench.rig import Rig
 
@@ -29,7 +29,7 @@ class Focus(Value):
         By device: distances in focus along its axis, equally many, at least one.
     """
 
-    distances_mm: dict[str, Annotated[tuple[Positive, ...], MinLen(1), MaxLen(MAX_SETTINGS)]]
+    distances_mm: dict[str, Annotated[tuple[Measure, ...], MinLen(1), MaxLen(MAX_SETTINGS)]]
 
     __repr__ = brief
 

@@ -34,7 +34,7 @@ from slbench.core.io import OutputFolder, read_grey, read_toml, write_exr, write
 from slbench.core.registry import quoted
 from slbench.core.show.display import block, brief
 from slbench.core.show.drawing import figure
-from slbench.core.validation.types import MinLen, Positive, Word
+from slbench.core.validation.types import Measure, MinLen, Word
 from slbench.core.validation.values import validated
 from slbench.patterns import NoiseModel, PhaseMap
 from slbench.rig import ALONE, Pair
@@ -462,7 +462,7 @@ def _stack_table(distances: tuple[str, ...]) -> Any:
     from slbench.core.validation.tables import Parameters
 
     names = dict.fromkeys((*(f"{name}{_FOCUS}" for name in ALONE), *distances))
-    fields: Any = dict.fromkeys(names, (tuple[Positive, ...] | None, None))
+    fields: Any = dict.fromkeys(names, (tuple[Measure, ...] | None, None))
     captures = Annotated[tuple[Word, ...], MinLen(1)]
     return create_model(
         "Stack", __base__=Parameters, format=(Literal[1], 1), captures=(captures, ...), **fields

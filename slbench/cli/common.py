@@ -11,9 +11,10 @@ from typing import Annotated, Any, Literal
 import typer
 
 from slbench.core.registry import Registry
+from slbench.core.validation import types
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
-Seed = Annotated[int, typer.Option(min=0, help="Seed of every random draw.")]
+Seed = Annotated[types.Seed, typer.Option(help="Seed of every random draw.")]
 DatasetName = Annotated[str, typer.Argument(help="A data set: a folder or a URL.")]
 SceneName = Annotated[str, typer.Argument(help="A scene file, or the name of a shipped scene.")]
 Weights = Annotated[
@@ -24,8 +25,8 @@ Preview = Annotated[
     bool, typer.Option("--preview", help="Fewer camera pixels and samples: seconds.")
 ]
 MinModulation = Annotated[
-    float | None,
-    typer.Option(min=0.0, help="Least modulation of a valid pixel, DN; 3, or the capture's."),
+    types.Grey | None,
+    typer.Option(help="Least modulation of a valid pixel, DN; 3, or the capture's."),
 ]
 AllowModules = Annotated[
     bool,

@@ -19,6 +19,7 @@ from slbench.cli.common import (
     progress,
 )
 from slbench.cli.lazy import command
+from slbench.core.validation.types import Repeats
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -35,7 +36,7 @@ def compare(
             "--set", metavar="<str>", help='A pattern set, "1,10,50", "1,8@4", "gray"; give each.'
         ),
     ],
-    repeats: Annotated[int, typer.Option(min=2, max=10_000, help="Scans of each set.")] = 15,
+    repeats: Annotated[Repeats, typer.Option(help="Scans of each set.")] = 15,
     equal: Annotated[
         Literal["frames", "photons"] | None,
         typer.Option(help="Give all sets as many frames, or as much light."),

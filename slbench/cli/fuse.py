@@ -11,6 +11,10 @@ import typer
 from slbench.cli.common import AllowModules, Json, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.validation.types import Interval
+
+#: Pixels along a side of a window.
+Window = Annotated[int, Interval(ge=3, le=999)]
 
 if TYPE_CHECKING:
     from slbench.capture.fusion.photographs import FusionMethod
@@ -43,7 +47,7 @@ def fuse(
         Literal["corrected", "published"],
         typer.Option(help="saf: corrected, or published (as the authors' program)."),
     ] = "corrected",
-    window: Annotated[int, typer.Option(help="Window of the measure, pixels, odd.")] = 9,
+    window: Annotated[Window, typer.Option(help="Window of the measure, pixels, odd.")] = 9,
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:

@@ -11,6 +11,10 @@ import typer
 from slbench.cli.common import Json, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.validation.types import FINITE, Interval, Step
+
+#: A tilt of a stage, mrad.
+Tilt = Annotated[float, FINITE, Interval(gt=0.0, le=1000.0)]
 
 COLUMNS = ("x_mm", "y_mm", "z_mm")
 
@@ -29,13 +33,13 @@ def register_views(
     ],
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/registered"),
     stage_um: Annotated[
-        float, typer.Option(help="Standard deviation of the stage's position, each axis.")
+        Step, typer.Option(help="Standard deviation of the stage's position, each axis.")
     ] = 1.5,
     tilt_mrad: Annotated[
-        float, typer.Option(help="Standard deviation of the stage's tilt, each axis.")
+        Tilt, typer.Option(help="Standard deviation of the stage's tilt, each axis.")
     ] = 0.2,
     voxel_um: Annotated[
-        float | None, typer.Option(help="Voxels for alignment.  [default: by the cloud]")
+        Step | None, typer.Option(help="Voxels for alignment.  [default: by the cloud]")
     ] = None,
     as_json: Json = False,
 ) -> None:

@@ -20,7 +20,7 @@ from slbench.cli.common import (
 )
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-from slbench.core.validation.types import MAX_SAMPLES
+from slbench.core.validation.types import Samples, Shifts
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -38,13 +38,9 @@ def scan(
         str | None,
         typer.Option(help='Pattern sequence: "1,10,50", "1,16@8", "gray+16@8".'),
     ] = None,
-    steps: Annotated[
-        int | None, typer.Option(min=3, help="Phase shifts of each fringe set.")
-    ] = None,
+    steps: Annotated[Shifts | None, typer.Option(help="Phase shifts of each fringe set.")] = None,
     axes: Annotated[Literal["u", "v", "uv"] | None, typer.Option(help="Coded panel axes.")] = None,
-    spp: Annotated[
-        int | None, typer.Option(min=1, max=MAX_SAMPLES, help="Monte Carlo samples a pixel.")
-    ] = None,
+    spp: Annotated[Samples | None, typer.Option(help="Monte Carlo samples a pixel.")] = None,
     seed: Seed = 0,
     noise: Annotated[
         bool, typer.Option("--noise/--no-noise", help="Detector noise; rounding stays.")

@@ -1,7 +1,7 @@
 """What goes to a terminal's error stream while a command runs: one line a message.
 
 Three kinds of authors write there.  slbench questions input (``warn_user`` of ``errors``) and is
-heard at once.  Python libraries warn, with the path and the code of their own source;
+heard at once.  Python libraries warn and log, with the path and the code of their own source;
 native ones (libpng, OpenCV, OpenEXR, Dr.Jit) print to file descriptor 2, whatever Python thinks
 of it.  Both are kept until the command is done and said as ``warning: ...`` then, each line once.
 Where the command ends with a refusal they are dropped: the refusal says what they hint at.
@@ -12,6 +12,7 @@ So threads need no lock, and a bar of progress is never held back with another's
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
 import tempfile
@@ -25,6 +26,17 @@ from slbench.core.errors import InputWarning
 _LONGEST = 500
 #: Lines of native libraries that are said again; a broken stack of frames has thousands.
 _MOST = 20
+
+
+class _Records(logging.Handler):
+    """Keeps the records of libraries' loggers, without the tracebacks that come with some."""
+
+    def __init__(self, messages: Messages) -> None:
+        super().__init__(logging.WARNING)
+        self._messages = messages
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self._messages.keep(f"{record.name}: {record.getMessage()}")
 
 
 class Messages:
@@ -46,7 +58,11 @@ class Messages:
         if issubclass(category, InputWarning):
             self._say(str(message))
         else:
-            self._kept.append(f"{message} ({category.__name__})")
+            self.keep(f"{message} ({category.__name__})")
+
+    def keep(self, text: str) -> None:
+        """Keep what a library says until the end."""
+        self._kept.append(text)
 
     def finish(self, chatter: str) -> None:
         """Say what libraries had to say, unless the command refused its input."""
@@ -97,6 +113,11 @@ def one_line_messages(raw: bool = False) -> Iterator[Messages]:
         stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", InputWarning)
         warnings.showwarning = show  # type: ignore[assignment]
+        root = logging.getLogger()
+        if not raw and not root.handlers:  # a program that logs has its own way
+            records = _Records(messages)
+            root.addHandler(records)
+            stack.callback(root.removeHandler, records)
         try:
             yield messages
         finally:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from slbench.core.errors import InputError
 from slbench.core.threads import in_bands
-from slbench.core.validation.types import Count, Shifts
+from slbench.core.validation.types import FringeCount, Shifts
 from slbench.patterns.base import (
     Axis,
     Code,
@@ -63,7 +63,7 @@ class Fringes(Code):
     kind: ClassVar[str] = "fringes"
     words: ClassVar[tuple[str, ...]] = ("counts such as 1,10,50@4",)
 
-    count: Count
+    count: FringeCount
     shifts: Shifts = MIN_SHIFTS
     axis: Axis = "u"
 

@@ -6,7 +6,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core.validation.types import Finite, NotNegative
+from slbench.core.validation.types import Gain, Grey, Offset
 from slbench.core.validation.values import Value
 
 FloatArray = NDArray[np.float64]
@@ -33,13 +33,13 @@ class NoiseModel(Value):
     Raises
     ------
     InputError
-        For values that are negative (the offset may be) or not finite.
+        For values that are negative (the offset may be) or larger than any grey value.
     """
 
-    read_dn: NotNegative = 0.0
-    gain_dn_per_e: NotNegative = 0.0
-    offset_dn: Finite = 0.0
-    step_dn: NotNegative = 1.0
+    read_dn: Grey = 0.0
+    gain_dn_per_e: Gain = 0.0
+    offset_dn: Offset = 0.0
+    step_dn: Grey = 1.0
 
     @overload
     def variance(self, dn: float) -> float: ...

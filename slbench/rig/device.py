@@ -28,7 +28,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import length, numbers
-from slbench.core.validation.types import Angle, Distortion, Pair, PanelBits, Pixels, Positive, Size
+from slbench.core.validation.types import (
+    MAX_PIXELS,
+    Angle,
+    Distortion,
+    Measure,
+    Pair,
+    PanelBits,
+    Pixels,
+    Size,
+)
 from slbench.core.validation.values import Value
 from slbench.rig.distortion import (
     apply_homography,
@@ -71,7 +80,7 @@ class Device(Value):
 
     width: Pixels
     height: Pixels
-    pitch_mm: tuple[Positive, Positive]
+    pitch_mm: tuple[Measure, Measure]
     lens: Lens
     principal_point: Pair | None = None
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
@@ -81,6 +90,9 @@ class Device(Value):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.width * self.height > MAX_PIXELS:
+            got = f"{self.width} x {self.height}"
+            raise InputError("device: width, height", f"at most {MAX_PIXELS} pixels in all", got)
         if self.principal_point is None:
             centre = ((self.width - 1) / 2.0, (self.height - 1) / 2.0)
             object.__setattr__(self, "principal_point", centre)
@@ -388,9 +400,9 @@ class Projector(Device):
         Radiance is ``value ** gamma``; 1 is linear, as a DMD is.
     """
 
-    flux_w: Positive = 1.0
+    flux_w: Measure = 1.0
     bit_depth: PanelBits | None = 8
-    gamma: Positive = 1.0
+    gamma: Measure = 1.0
 
     @property
     def axial_intensity(self) -> float:

@@ -8,7 +8,7 @@ from typing import Annotated, Literal, Self
 import numpy as np
 
 from slbench.core.errors import InputError
-from slbench.core.validation.types import Aperture, Gt, NotNegative, Positive
+from slbench.core.validation.types import Aperture, Ge, Measure, NotNegative, Positive
 from slbench.core.validation.values import Value, checked
 
 
@@ -32,9 +32,9 @@ class Lens(Value):
         illumination.  A telecentric lens has none.
     """
 
-    focal_length_mm: Positive
+    focal_length_mm: Measure
     aperture_radius_mm: NotNegative = 0.0
-    focus_distance_mm: Annotated[float, Gt(0.0)] = np.inf
+    focus_distance_mm: Annotated[float, Ge(1e-9)] = np.inf
     kind: Literal["perspective", "telecentric"] = "perspective"
     natural_vignetting: bool = True
 

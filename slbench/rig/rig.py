@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, numbers
-from slbench.core.validation.types import Finite, Positive
+from slbench.core.validation.types import Coordinate, Measure
 from slbench.core.validation.values import Value
 from slbench.rig.device import Camera, Device, Projector
 from slbench.rig.lens import Lens
@@ -58,12 +58,12 @@ def rotation_yx(alpha: ArrayLike, beta: ArrayLike) -> Array:
 class DesignVariables(Value):
     """The six design variables of thesis 3.1.2, in mm and rad."""
 
-    z_ref: Positive
-    w: Finite
-    h: Finite
-    l: Finite  # noqa: E741 - the thesis's name
-    alpha_p: Finite
-    beta_p: Finite
+    z_ref: Measure
+    w: Coordinate
+    h: Coordinate
+    l: Coordinate  # noqa: E741 - the thesis's name
+    alpha_p: Coordinate
+    beta_p: Coordinate
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -16,15 +16,16 @@ from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import (
     Aperture,
     Bounces,
+    Coordinate,
     Count,
     Distortion,
-    Finite,
     Fraction,
     Measure,
     NotNegative,
     Pair,
     Pixels,
     Samples,
+    Shifts,
     TiltDegrees,
     Vector,
     Vibration,
@@ -113,12 +114,12 @@ class PlaceTable(Parameters):
 class RigTable(Parameters):
     """``[rig]``: where the devices stand, by a design, by places, or from a file."""
 
-    z_ref_mm: Finite | None = None
-    w_mm: Finite | None = None
-    h_mm: Finite | None = None
-    l_mm: Finite | None = None
-    alpha_p_deg: Finite | None = None
-    beta_p_deg: Finite | None = None
+    z_ref_mm: Coordinate | None = None
+    w_mm: Coordinate | None = None
+    h_mm: Coordinate | None = None
+    l_mm: Coordinate | None = None
+    alpha_p_deg: Coordinate | None = None
+    beta_p_deg: Coordinate | None = None
     camera: PlaceTable | None = None
     projector: PlaceTable | None = None
     file: str | None = None
@@ -195,7 +196,7 @@ class FocusTable(Parameters):
 
     camera_mm: Annotated[tuple[Measure, ...], Field(min_length=1)] | None = None
     projector_mm: Annotated[tuple[Measure, ...], Field(min_length=1)] | None = None
-    heights_mm: Annotated[tuple[Finite, ...], Field(min_length=1)] | None = None
+    heights_mm: Annotated[tuple[Coordinate, ...], Field(min_length=1)] | None = None
     settings: Annotated[int, Field(ge=1, le=MAX_SETTINGS)] | None = None
     move: Literal["both", "camera", "projector"] = "both"
     apart: bool = False
@@ -233,7 +234,7 @@ class PatternsTable(Parameters):
     """``[patterns]``: the sequence, as :meth:`PatternSequence.parse` reads it."""
 
     sequence: str = "1,10,50"
-    shifts: int = 3
+    shifts: Shifts = 3
     axes: str = "u"
 
 

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args, get_origin
 import annotated_types as at
 import numpy as np
 
-from slbench.core.validation.wording import _base, _fields, _metadata
+from slbench.core.validation.wording import _fields, base_of, metadata_of
 
 #: Nothing that any field takes.
 STRANGER = object()
@@ -16,14 +16,14 @@ STRANGER = object()
 
 def wrong_values(hint: Any) -> Iterator[Any]:
     """Yield values that a type refuses: of another kind, and just outside its range."""
-    if _base(hint) is Any:
+    if base_of(hint) is Any:
         return
     yield STRANGER
     yield from _outside(hint)
 
 
 def _outside(hint: Any) -> Iterator[Any]:
-    base, metadata = _base(hint), _metadata(hint)
+    base, metadata = base_of(hint), metadata_of(hint)
     marks = list(
         itertools.chain.from_iterable(m if isinstance(m, at.Interval) else [m] for m in metadata)
     )
@@ -82,8 +82,8 @@ def tables(model: Any, good: Mapping[str, Any]) -> Iterator[tuple[str, dict[str,
             yield f"{key}x", misspelt
         for value in wrong_values(hint):
             yield key, {**good, key: value}
-        given = good.get(key, {} if not any(required(_base(hint))) else None)
-        for inner, value in _nested(_base(hint), given):
+        given = good.get(key, {} if not any(required(base_of(hint))) else None)
+        for inner, value in _nested(base_of(hint), given):
             yield inner, {**good, key: value}
     yield "stranger", {**good, "stranger": 1}
 
@@ -103,5 +103,5 @@ def _nested(base: Any, good: Any) -> Iterator[tuple[str, Any]]:
     if isinstance(good, Mapping) and _fields(base):
         yield from tables(base, good)
     elif get_origin(base) is tuple and isinstance(good, list | tuple) and good:
-        for key, value in _nested(_base(get_args(base)[0]), good[0]):
+        for key, value in _nested(base_of(get_args(base)[0]), good[0]):
             yield key, (value, *good[1:])

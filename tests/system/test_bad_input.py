@@ -160,7 +160,7 @@ SCAN = {
     "bad patterns in the file": (lambda f: scene(f, patterns={"sequence": "1;10"}), [], "1;10"),
     "bad patterns": (scene, ["--patterns", "1,ten"], "ten"),
     "empty patterns": (scene, ["--patterns", ""], "patterns"),
-    "no fringes": (scene, ["--patterns", "0,10"], "a whole number >= 1, got 0"),
+    "no fringes": (scene, ["--patterns", "0,10"], "a whole number from 1 to 65536, got 0"),
     "too many fringes": (scene, ["--patterns", "1,500"], "at most 213 fringes on 640"),
     "not from one fringe": (scene, ["--patterns", "10,50"], "one fringe or a Gray code first"),
     "nothing coded": (scene, ["--patterns", "white"], "fringes or a Gray code"),
@@ -270,8 +270,8 @@ DECODE = {
     "rig option missing": (capture, ["--rig", "gone.yaml"], "gone.yaml"),
     "negative modulation": (capture, ["--min-modulation", -1], "min-modulation"),
     "modulation that is no number": (capture, ["--min-modulation", "nan"], "min-modulation"),
-    "endless modulation": (capture, ["--min-modulation", "inf"], "min_modulation"),
-    "modulation beyond all numbers": (capture, ["--min-modulation", "1e400"], "min_modulation"),
+    "endless modulation": (capture, ["--min-modulation", "inf"], "--min-modulation"),
+    "modulation beyond all numbers": (capture, ["--min-modulation", "1e400"], "--min-modulation"),
     "unknown option": (capture, ["--spp", 3], "--spp"),
 }
 

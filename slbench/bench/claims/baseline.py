@@ -32,7 +32,7 @@ from slbench.bench.compare.tiles import holm
 from slbench.core.errors import InputError
 from slbench.core.io import plain, read_json, write_json
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Finite
+from slbench.core.validation.types import Finite, Seed
 from slbench.core.validation.values import validated
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class _Entry(Parameters):
 class _File(Parameters):
     format: int
     slbench: str
-    seed: int
+    seed: Seed
     claims: dict[str, _Entry]
 
 

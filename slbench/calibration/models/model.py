@@ -30,7 +30,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_json, write_json
 from slbench.core.show.display import block, length
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Finite
+from slbench.core.validation.types import Finite, NotNegative
 from slbench.core.validation.values import validated
 
 Array = NDArray[np.float64]
@@ -277,7 +277,7 @@ class _Coordinate(Parameters):
     terms: tuple[str, ...]
     coefficients_mm: _Vector
     covariance_mm2: tuple[_Vector, ...]
-    residual_std_mm: Annotated[Finite, Field(ge=0)]
+    residual_std_mm: NotNegative
 
 
 class _Coordinates(Parameters):

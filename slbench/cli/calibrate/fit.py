@@ -9,6 +9,7 @@ import typer
 
 from slbench.cli.common import Json, Seed, listed, print_json, print_table
 from slbench.cli.lazy import command
+from slbench.core.validation.types import Proportion
 
 
 @command("slbench calibrate fit points.csv --out model.json --json")
@@ -26,7 +27,7 @@ def fit(
         bool, typer.Option("--multivariate", help="Fit x, y and z together.")
     ] = False,
     validation: Annotated[
-        float, typer.Option(help="Share of the points that validate and do not train.")
+        Proportion, typer.Option(help="Share of the points that validate and do not train.")
     ] = 0.2,
     seed: Seed = 0,
     report: Annotated[

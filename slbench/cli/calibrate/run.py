@@ -21,7 +21,10 @@ from slbench.cli.common import (
 )
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-from slbench.core.validation.types import MAX_SAMPLES
+from slbench.core.validation.types import Interval, Micrometres, Samples, Step, Steps
+
+#: Of a stage, at least as many as the cubic model needs.
+Heights = Annotated[int, Interval(ge=4, le=1000)]
 
 #: Heights and shifts of a preview.  The methods are compared on every other height: seven leave
 #: four to fit to, as many as a cubic in the height needs.
@@ -33,14 +36,14 @@ def run(
     scene: SceneName,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/calibration"),
     z_steps: Annotated[
-        int | None, typer.Option(min=4, help="Heights of the stage.  [default: 11]")
+        Heights | None, typer.Option(help="Heights of the stage.  [default: 11]")
     ] = None,
     y_steps: Annotated[
-        int | None, typer.Option(min=1, help="Shifts of the stage along y.  [default: 6]")
+        Steps | None, typer.Option(help="Shifts of the stage along y.  [default: 6]")
     ] = None,
-    y_step_um: Annotated[float, typer.Option(help="Size of a shift.")] = 20.0,
+    y_step_um: Annotated[Step, typer.Option(help="Size of a shift.")] = 20.0,
     stage_um: Annotated[
-        float, typer.Option(min=0.0, help="Standard deviation of the stage's position.")
+        Micrometres, typer.Option(help="Standard deviation of the stage's position.")
     ] = 0.0,
     remapping: Annotated[
         Literal["ring", "bilinear"],
@@ -48,11 +51,9 @@ def run(
     ] = "ring",
     weights: Weights = "lit",
     divisor: Annotated[
-        int | None, typer.Option(min=1, help="Camera pixels put together, to be quicker.")
+        Steps | None, typer.Option(help="Camera pixels put together, to be quicker.")
     ] = None,
-    spp: Annotated[
-        int | None, typer.Option(min=1, max=MAX_SAMPLES, help="Monte Carlo samples a pixel.")
-    ] = None,
+    spp: Annotated[Samples | None, typer.Option(help="Monte Carlo samples a pixel.")] = None,
     models: Annotated[
         str | None,
         typer.Option(help="Candidates.  [default: those of M1,M2,M3,M4 that points allow]"),

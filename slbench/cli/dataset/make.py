@@ -13,6 +13,9 @@ import typer
 from slbench.cli.common import AllowModules, Json, Preview, Seed, print_json, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.validation.types import Count, Interval
+
+Workers = Annotated[int, Interval(ge=0, le=1024)]
 
 #: How often a line tells how far a run is where there is no terminal, s.
 _QUIET_S = 30.0
@@ -24,12 +27,10 @@ def make(
         str, typer.Argument(help="A specification (TOML), or the name of a shipped one.")
     ],
     out: Annotated[str, typer.Option(help="Folder or URL to write to.")],
-    count: Annotated[int, typer.Option(min=1, max=10_000_000, help="Number of samples.")],
+    count: Annotated[Count, typer.Option(help="Number of samples.")],
     workers: Annotated[
-        int | None,
-        typer.Option(
-            min=0, max=1024, help="Worker processes; 0: this process.  [default: by this machine]"
-        ),
+        Workers | None,
+        typer.Option(help="Worker processes; 0: this process.  [default: by this machine]"),
     ] = None,
     scheduler: Annotated[
         str | None, typer.Option(help="Use the cluster at this address, e.g. tcp://host:8786.")

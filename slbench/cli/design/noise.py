@@ -18,17 +18,18 @@ from slbench.cli.common import (
     progress,
 )
 from slbench.cli.lazy import command
+from slbench.core.validation.types import FringeCount, FringeWidth, Repeats, Shifts, Steps
 
 
 @command("slbench design noise ch8-stack --preview --repeats 4 --out out/noise")
 def noise(
     scene: SceneName,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/noise"),
-    heights: Annotated[int, typer.Option(min=1, max=1000, help="Heights through the volume.")] = 11,
-    max_fringes: Annotated[int | None, typer.Option(help="Most fringes to measure.")] = None,
-    min_px_per_fringe: Annotated[float, typer.Option(help="Least pixels a fringe.")] = 5.0,
-    shifts: Annotated[int, typer.Option(min=3, help="Phase shifts.")] = 3,
-    repeats: Annotated[int, typer.Option(min=2, help="Captures of each height.")] = 20,
+    heights: Annotated[Steps, typer.Option(help="Heights through the volume.")] = 11,
+    max_fringes: Annotated[FringeCount | None, typer.Option(help="Most fringes.")] = None,
+    min_px_per_fringe: Annotated[FringeWidth, typer.Option(help="Least pixels a fringe.")] = 5.0,
+    shifts: Annotated[Shifts, typer.Option(help="Phase shifts.")] = 3,
+    repeats: Annotated[Repeats, typer.Option(help="Captures of each height.")] = 20,
     seed: Seed = 0,
     preview: Preview = False,
     allow_modules: AllowModules = False,

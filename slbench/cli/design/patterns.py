@@ -11,6 +11,21 @@ import typer
 from slbench.cli.common import AllowModules, Json, Preview, Seed, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.validation.types import (
+    FINITE,
+    Frames,
+    FringeCount,
+    FringeWidth,
+    Interval,
+    PanelWidth,
+    PhaseDeviation,
+    Proportion,
+    Repeats,
+    Shifts,
+)
+
+#: Of the noise to be prepared for.
+Safety = Annotated[float, FINITE, Interval(ge=1.0, le=1000.0)]
 
 #: Which options go with what: (option, what it needs).
 APPLIES = {
@@ -37,10 +52,10 @@ APPLIES = {
 def patterns(
     context: typer.Context,
     width_px: Annotated[
-        int | None, typer.Option(help="Coded panel width; a scene or a capture has its own.")
+        PanelWidth | None, typer.Option(help="Coded panel width; a scene or a capture has its own.")
     ] = None,
     noise_rad: Annotated[
-        float | None, typer.Option(help="Noise of the relative phase, for any fringes.")
+        PhaseDeviation | None, typer.Option(help="Noise of the relative phase, for any fringes.")
     ] = None,
     noise_table: Annotated[Path | None, typer.Option(help="CSV: fringes,z_mm,sigma_rad.")] = None,
     capture: Annotated[
@@ -67,11 +82,12 @@ def patterns(
         ),
     ] = "thesis",
     safety: Annotated[
-        float,
+        Safety,
         typer.Option(help="Noise to be prepared for: the grid's extent (thesis), the bound's."),
     ] = 2.0,
     noise_step: Annotated[
-        float | None, typer.Option(help="thesis: step of the grid, rad.  [default: 1/72 of it]")
+        PhaseDeviation | None,
+        typer.Option(help="thesis: step of the grid, rad.  [default: 1/72]"),
     ] = None,
     phase_model: Annotated[
         Literal["exact", "thesis"],
@@ -81,25 +97,25 @@ def patterns(
         Literal["exact", "monte-carlo"], typer.Option(help="thesis: how errors are summed.")
     ] = "exact",
     mc_repeats: Annotated[
-        int, typer.Option(min=1, help="monte-carlo: captures of all pixels a noise level.")
+        Frames, typer.Option(help="monte-carlo: captures of all pixels a noise level.")
     ] = 20,
     max_order_error: Annotated[
-        float, typer.Option(help="bounded: probability of any fringe-order error a pixel.")
+        Proportion, typer.Option(help="bounded: probability of any fringe-order error a pixel.")
     ] = 1e-6,
     frames: Annotated[
-        int | None, typer.Option(help="bounded: frames to project; shifts are chosen too.")
+        Frames | None, typer.Option(help="bounded: frames to project; shifts are chosen too.")
     ] = None,
-    max_fringes: Annotated[int | None, typer.Option(help="Most fringes of a candidate.")] = None,
-    min_px_per_fringe: Annotated[float, typer.Option(help="Least pixels a fringe.")] = 5.0,
-    shifts: Annotated[int, typer.Option(min=3, help="Phase shifts that the noise is for.")] = 3,
+    max_fringes: Annotated[FringeCount | None, typer.Option(help="Most fringes of a set.")] = None,
+    min_px_per_fringe: Annotated[FringeWidth, typer.Option(help="Least pixels a fringe.")] = 5.0,
+    shifts: Annotated[Shifts, typer.Option(help="Phase shifts that the noise is for.")] = 3,
     compare: Annotated[
         list[str] | None,
         typer.Option(
             metavar="<str>", help="Another sequence to predict and scan, such as 1,2,4; give each."
         ),
     ] = None,
-    repeats: Annotated[int, typer.Option(min=2, help="scene: captures for the noise.")] = 20,
-    scans: Annotated[int, typer.Option(min=2, help="scene: scans a sequence to verify.")] = 15,
+    repeats: Annotated[Repeats, typer.Option(help="scene: captures for the noise.")] = 20,
+    scans: Annotated[Repeats, typer.Option(help="scene: scans a sequence to verify.")] = 15,
     write_noise: Annotated[
         Path | None, typer.Option(help="CSV to write the noise to, as --noise-table reads it.")
     ] = None,

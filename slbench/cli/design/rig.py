@@ -10,6 +10,11 @@ import typer
 from slbench.cli.common import AllowModules, Json, Seed, print_json, print_table, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
+from slbench.core.validation.types import FINITE, Count, Interval, Length
+
+#: A triangulation angle.
+Degrees = Annotated[float, FINITE, Interval(gt=0.0, lt=180.0)]
+Cluster = Annotated[int, Interval(ge=0, le=1000)]
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -23,7 +28,7 @@ def rig(
     hardware: HardwareName,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/rig"),
     evaluations: Annotated[
-        int, typer.Option(min=1, help="Budget of evaluated configurations.")
+        Count, typer.Option(help="Budget of evaluated configurations.")
     ] = 20_000,
     objectives: Annotated[
         str, typer.Option(help="Some of error, coverage, dispersion.")
@@ -32,16 +37,16 @@ def rig(
         bool, typer.Option("--micro", help="Maximise the measurement volume instead (microscopes).")
     ] = False,
     max_footprint_mm: Annotated[
-        float | None, typer.Option(help="Largest horizontal extent of bodies and volume.")
+        Length | None, typer.Option(help="Largest horizontal extent of bodies and volume.")
     ] = None,
     min_angle_deg: Annotated[
-        float | None, typer.Option(help="Smallest triangulation angle.")
+        Degrees | None, typer.Option(help="Smallest triangulation angle.")
     ] = None,
     start: Annotated[
         Path | None, typer.Option(help="front.npz to go on from, or a CSV of configurations.")
     ] = None,
     pick: Annotated[
-        int | None, typer.Option(min=0, help="Cluster for the scene, not the recommended one.")
+        Cluster | None, typer.Option(help="Cluster for the scene, not the recommended one.")
     ] = None,
     seed: Seed = 0,
     allow_modules: AllowModules = False,

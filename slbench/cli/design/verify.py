@@ -10,7 +10,10 @@ import typer
 from slbench.cli.common import AllowModules, Json, Seed, print_json, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
-from slbench.core.validation.types import MAX_SAMPLES
+from slbench.core.validation.types import Interval, Samples
+
+#: Rigs to draw: three at least, for a correlation.
+Drawn = Annotated[int, Interval(ge=3, le=10_000)]
 
 
 @command("slbench design verify hardware/macro-ch6 scenes/hardware/table4.csv")
@@ -19,10 +22,10 @@ def verify(
     configurations: Annotated[
         Path | None, typer.Argument(help="CSV of rigs; without it feasible ones are drawn.")
     ] = None,
-    count: Annotated[int, typer.Option(min=3, help="How many rigs to draw.")] = 24,
+    count: Annotated[Drawn, typer.Option(help="How many rigs to draw.")] = 24,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/verify"),
     patterns: Annotated[str, typer.Option(help="Fringes of three shifts.")] = "1,5",
-    spp: Annotated[int, typer.Option(min=1, max=MAX_SAMPLES, help="Samples a pixel.")] = 16,
+    spp: Annotated[Samples, typer.Option(help="Samples a pixel.")] = 16,
     seed: Seed = 0,
     allow_modules: AllowModules = False,
     as_json: Json = False,

@@ -11,13 +11,16 @@ import typer
 from slbench.cli.common import AllowModules, SceneName
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.validation.types import Interval
+
+FrameIndex = Annotated[int, Interval(ge=0, le=100_000)]
 
 
 @command("slbench export sphere out/sphere.xml --pinhole")
 def export(
     scene: SceneName,
     path: Annotated[Path, typer.Argument(help="The XML file to write.")],
-    frame: Annotated[int, typer.Option(min=0, help="Which frame of the scene's patterns.")] = 0,
+    frame: Annotated[FrameIndex, typer.Option(help="Which frame of the scene's patterns.")] = 0,
     pinhole: Annotated[
         bool, typer.Option(help="Replace the projector's lens by a pinhole without fall-off.")
     ] = False,

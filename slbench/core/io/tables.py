@@ -13,6 +13,8 @@ from slbench.core.io.atomic import write_bytes
 from slbench.core.io.text import read_text
 
 _SHOWN = 80
+#: Lengths, pixels, phases: whatever a table is of, a number beyond is a slip.
+_MOST = 1e9
 #: Bytes of a file.
 _LARGEST = 256_000_000
 
@@ -40,7 +42,7 @@ def read_table(
     ------
     InputError
         If the file is missing or holds no rows, a column is missing or unknown, or a cell is
-        no number, with its line.
+        no number or one beyond 1e9, with its line.
     """
     text = read_text(path, "a CSV file", _LARGEST)
     lines = csv.reader(io.StringIO(text, newline=""))
@@ -63,8 +65,11 @@ def read_table(
             values = []
         if len(values) != len(names) or (finite and not np.all(np.isfinite(values))):
             expected = f"{len(names)} {'finite ' if finite else ''}numbers"
-            found = ",".join(cells)[:_SHOWN]
-            raise InputError(f"{path}: line {number}", expected, found)
+            raise InputError(f"{path}: line {number}", expected, ",".join(cells)[:_SHOWN])
+        if any(abs(value) > _MOST for value in values if np.isfinite(value)):
+            raise InputError(
+                f"{path}: line {number}", f"numbers up to {_MOST:g}", ",".join(cells)[:_SHOWN]
+            )
         rows.append([values[k] for k in order])
     if not rows:
         raise InputError(path, "at least one row below the header", "none")

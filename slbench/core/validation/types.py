@@ -15,20 +15,30 @@ from annotated_types import Ge, Gt, Interval, Le, Lt, MaxLen, MinLen
 
 __all__ = [
     "FINITE",
+    "LARGEST",
+    "MAX_PIXELS",
     "MAX_SAMPLES",
+    "SMALLEST",
     "Angle",
     "Aperture",
     "Axes",
     "Axis",
     "BitDepth",
     "Bounces",
+    "Coefficient",
     "Confidence",
     "Coordinate",
     "Count",
     "Distortion",
     "Finite",
     "Fraction",
+    "Frames",
+    "FringeCount",
+    "FringeWidth",
+    "Gain",
     "Ge",
+    "Grey",
+    "GreyLevel",
     "Gt",
     "Interval",
     "Le",
@@ -36,11 +46,15 @@ __all__ = [
     "Lt",
     "MaxLen",
     "Measure",
+    "Micrometres",
     "MinLen",
     "NotNegative",
+    "Offset",
     "Pair",
     "PanelBits",
+    "PanelWidth",
     "Percentile",
+    "PhaseDeviation",
     "Pixels",
     "Positive",
     "Proportion",
@@ -50,6 +64,8 @@ __all__ = [
     "Share",
     "Shifts",
     "Size",
+    "Step",
+    "Steps",
     "TiltDegrees",
     "Vector",
     "Vibration",
@@ -78,16 +94,24 @@ class Words:
 
 FINITE = _FiniteMark()
 
-#: Any finite number.
-Finite = Annotated[float, FINITE]
-Positive = Annotated[float, FINITE, Gt(0.0)]
-NotNegative = Annotated[float, FINITE, Ge(0.0)]
+#: No number of slbench means anything beyond; below, squares and products of a few stay far from
+#: the end of floating point.  Every number from people has a range, and most a narrower one.
+LARGEST, SMALLEST = 1e15, 1e-15
+#: Any number that is finite and means something.
+Finite = Annotated[float, FINITE, Interval(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, FINITE, Interval(ge=SMALLEST, le=LARGEST)]
+NotNegative = Annotated[float, FINITE, Interval(ge=0.0, le=LARGEST)]
 #: A positive quantity of the physical world, whatever its unit: beyond 18 decades, it is a slip.
 Measure = Annotated[float, FINITE, Interval(ge=1e-9, le=1e9)]
 #: A length, mm.  From a micrometre to ten metres: beyond, it is a slip of the unit.
 Length = Annotated[float, FINITE, Interval(ge=1e-3, le=1e4)]
-#: A coordinate in the world, mm or degrees.
+#: A coordinate in the world or on a sensor, mm, px or degrees.
 Coordinate = Annotated[float, FINITE, Interval(ge=-1e6, le=1e6)]
+#: Grey values and what is added to them, DN.
+Grey = Annotated[float, FINITE, Interval(ge=0.0, le=65536.0)]
+Offset = Annotated[float, FINITE, Interval(ge=-65536.0, le=65536.0)]
+#: A system's gain, DN an electron; zero leaves out shot noise.
+Gain = Annotated[float, FINITE, Interval(ge=0.0, le=65536.0)]
 #: A part of a whole, none included.
 Share = Annotated[float, Interval(ge=0.0, le=1.0), FINITE]
 #: A part of a whole that is not nothing.
@@ -112,13 +136,22 @@ TiltDegrees = Annotated[float, FINITE, Interval(gt=-60.0, lt=60.0)]
 #: Standard deviation of a picture's shift from frame to frame, px.
 Vibration = Annotated[float, FINITE, Interval(ge=0.0, le=10.0)]
 
-Whole = Annotated[int, Ge(0)]
+#: What 64 bits hold, in files and tables.
+Whole = Annotated[int, Interval(ge=0, le=2**63 - 1)]
 #: A number of things.
-Count = Annotated[int, Ge(1)]
+Count = Annotated[int, Interval(ge=1, le=10_000_000)]
 #: Of a measurement: at least two, to see noise.
-Repeats = Annotated[int, Ge(2)]
+Repeats = Annotated[int, Interval(ge=2, le=10_000)]
 #: Pixels along a side.
-Pixels = Annotated[int, Ge(1)]
+Pixels = Annotated[int, Interval(ge=1, le=65536)]
+#: Of a panel that fringes are designed for: a fringe takes three.
+PanelWidth = Annotated[int, Interval(ge=3, le=65536)]
+#: Pixels of a whole sensor or panel.
+MAX_PIXELS = 2**28
+#: Fringes of a pattern, of which a panel's column is a part.
+FringeCount = Annotated[int, Interval(ge=1, le=65536)]
+#: A digital number.
+GreyLevel = Annotated[int, Interval(ge=1, le=65535)]
 #: Monte Carlo samples a pixel.
 MAX_SAMPLES = 65536
 Samples = Annotated[int, Interval(ge=1, le=MAX_SAMPLES)]
@@ -129,6 +162,18 @@ Bounces = Annotated[int, Interval(ge=0, le=16)]
 Shifts = Annotated[int, Interval(ge=3, le=1000)]
 #: Of a random stream.
 Seed = Whole
+#: Steps, heights or shifts of a stage.
+Steps = Annotated[int, Interval(ge=1, le=1000)]
+#: Frames of a sequence.
+Frames = Annotated[int, Interval(ge=1, le=10_000)]
+#: A standard deviation or a small length, um: less than a metre.
+Micrometres = Annotated[float, FINITE, Interval(ge=0.0, le=1e6)]
+#: The same, and not nothing.
+Step = Annotated[float, FINITE, Interval(ge=1e-3, le=1e6)]
+#: A standard deviation of a relative phase, rad.
+PhaseDeviation = Annotated[float, FINITE, Interval(ge=1e-6, le=10.0)]
+#: Least pixels of a fringe.
+FringeWidth = Annotated[float, FINITE, Interval(ge=3.0, le=65536.0)]
 #: Bits of a digital number that cameras have.
 BitDepth = Literal[8, 10, 12, 14, 16]
 Axis = Literal["u", "v"]
@@ -141,9 +186,11 @@ PanelBits = Annotated[int, Interval(ge=1, le=16)]
 #: A name or a short text.
 Word = Annotated[str, MinLen(1), MaxLen(200)]
 
-Pair = tuple[Finite, Finite]
+Pair = tuple[Coordinate, Coordinate]
+#: A coefficient of distortion: those of long lenses go into the thousands.
+Coefficient = Annotated[float, FINITE, Interval(ge=-1e9, le=1e9)]
 #: OpenCV's k1, k2, p1, p2, k3.
-Distortion = tuple[Finite, Finite, Finite, Finite, Finite]
+Distortion = tuple[Coefficient, Coefficient, Coefficient, Coefficient, Coefficient]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 #: Lengths along x, y and z, mm.
-Size = tuple[Positive, Positive, Positive]
+Size = tuple[Measure, Measure, Measure]

@@ -22,7 +22,7 @@ from annotated_types import Ge, Gt, Interval, Le, Lt, MaxLen, MinLen
 
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
-from slbench.core.validation.types import FINITE, Words
+from slbench.core.validation.types import FINITE, LARGEST, SMALLEST, Words
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -71,7 +71,7 @@ def first_error(error: ValidationError, hint: Any, values: Any, where: str, sep:
     loc = list(first["loc"])
     if first["type"] == "extra_forbidden":
         place, inner, _ = _walk(hint, loc[:-1], values)
-        keys = list(_fields(_base(inner)))
+        keys = list(_fields(base_of(inner)))
         return InputError(
             _written(where, place, sep), f"one of the keys {', '.join(keys)}", quoted(loc[-1], keys)
         )
@@ -117,7 +117,7 @@ def _walk(hint: Any, loc: Sequence[Any], values: Any) -> tuple[list[str | int], 
     """Follow an error's location as far as keys and indices go: place, type and value there."""
     place: list[str | int] = []
     for part in loc:
-        base = _base(hint)
+        base = base_of(hint)
         fields = _fields(base)
         arguments = get_args(base)
         origin = get_origin(base)
@@ -137,14 +137,14 @@ def _walk(hint: Any, loc: Sequence[Any], values: Any) -> tuple[list[str | int], 
     return place, hint, values
 
 
-def _base(hint: Any) -> Any:
+def base_of(hint: Any) -> Any:
     """Return a type without metadata and without None."""
     if get_origin(hint) is Annotated:
-        return _base(get_args(hint)[0])
+        return base_of(get_args(hint)[0])
     if get_origin(hint) in (Union, types.UnionType):
         rest = [argument for argument in get_args(hint) if argument is not type(None)]
         if len(rest) == 1:
-            return _base(rest[0])
+            return base_of(rest[0])
     return hint
 
 
@@ -161,20 +161,20 @@ def _fields(hint: Any) -> dict[str, Any]:
     }
 
 
-def _metadata(hint: Any) -> list[Any]:
+def metadata_of(hint: Any) -> list[Any]:
     """Return the metadata of a type, through None and nested annotations, innermost first."""
     if get_origin(hint) is Annotated:
         inner, *rest = get_args(hint)
         marks = [mark for item in rest for mark in getattr(item, "metadata", [item])]
-        return [*_metadata(inner), *marks]
+        return [*metadata_of(inner), *marks]
     if get_origin(hint) in (Union, types.UnionType):
         rest = [argument for argument in get_args(hint) if argument is not type(None)]
-        return _metadata(rest[0]) if len(rest) == 1 else []
+        return metadata_of(rest[0]) if len(rest) == 1 else []
     return []
 
 
 def _choices(hint: Any) -> list[str]:
-    base = _base(hint)
+    base = base_of(hint)
     if get_origin(base) is not Literal:
         return []
     return [choice for choice in get_args(base) if isinstance(choice, str)]
@@ -190,7 +190,7 @@ def described(hint: Any, place: Sequence[str | int] = ()) -> str:
     place : sequence of str and int
         Where it is wanted; the unit is that of the last key.
     """
-    base, metadata = _base(hint), _metadata(hint)
+    base, metadata = base_of(hint), metadata_of(hint)
     for mark in metadata:
         if isinstance(mark, Words):
             return mark.text
@@ -258,6 +258,15 @@ def _number(base: type, metadata: Sequence[Any], place: Sequence[str | int]) -> 
                     bounds[name] = getattr(part, name)
     low = bounds.get("ge", bounds.get("gt"))
     high = bounds.get("le", bounds.get("lt"))
+    # Beyond these limits nothing means anything: they are named, not shown as a range.
+    limited = high == LARGEST
+    if limited:
+        high = None
+        if low == -LARGEST:
+            low = None
+        elif low == SMALLEST:
+            low = bounds["gt"] = 0.0
+            del bounds["ge"]
     finite = FINITE in metadata or any(
         getattr(mark, "allow_inf_nan", None) is False for mark in metadata
     )
@@ -274,6 +283,8 @@ def _number(base: type, metadata: Sequence[Any], place: Sequence[str | int]) -> 
         word += f" {'>=' if 'ge' in bounds else '>'} {low:g}"
     elif high is not None:
         word += f" {'<=' if 'le' in bounds else '<'} {high:g}"
+    if limited:
+        word += f", up to {LARGEST:g}"
     key = next((part for part in reversed(place) if isinstance(part, str)), "")
     unit = None if "_per_" in key else _UNITS.get(key.rpartition("_")[2])
     return f"{word} ({unit})" if unit else word

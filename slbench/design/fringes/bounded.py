@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from slbench.core.validation.types import FINITE, Ge, Interval, Proportion
+from slbench.core.validation.types import FINITE, Interval, PanelWidth, Proportion
 from slbench.core.validation.values import checked
 from slbench.design.fringes.design import SequenceDesign, candidates, predict, usable
 from slbench.design.fringes.noise import PhaseNoise
@@ -38,12 +38,12 @@ MAX_FRAMES = 100
 
 @checked
 def bounded_sequence(
-    width_px: int,
+    width_px: PanelWidth,
     noise: PhaseNoise,
     counts: Sequence[int] | None = None,
     *,
     max_probability: Proportion = 1e-6,
-    safety: Annotated[float, FINITE, Ge(1.0)] = 1.0,
+    safety: Annotated[float, FINITE, Interval(ge=1.0, le=1000.0)] = 1.0,
     frames: Annotated[int, Interval(ge=MIN_SHIFTS, le=MAX_FRAMES)] | None = None,
     on_progress: Callable[[str, float], None] | None = None,
 ) -> SequenceDesign:

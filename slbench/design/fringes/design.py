@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.core.show.document import Cell, Table
-from slbench.core.validation.types import FINITE, Count, Ge, Gt
+from slbench.core.validation.types import FINITE, FringeCount, FringeWidth, Interval, PanelWidth
 from slbench.core.validation.values import checked
 from slbench.design.fringes.chain import any_error, unwrapping_chain
 from slbench.design.fringes.noise import PhaseNoise
@@ -41,7 +41,7 @@ from slbench.design.fringes.unwrapping import (
     sampled_sigma,
 )
 from slbench.patterns import Axis, Fringes, PatternSequence
-from slbench.patterns.fringes import MIN_PIXELS_PER_FRINGE, MIN_SHIFTS
+from slbench.patterns.fringes import MIN_SHIFTS
 
 Array = NDArray[np.float64]
 Method = Literal["exact", "monte-carlo"]
@@ -163,10 +163,10 @@ class SequenceDesign:
 
 @checked
 def candidates(
-    width_px: Annotated[int, Ge(MIN_PIXELS_PER_FRINGE)],
+    width_px: PanelWidth,
     *,
-    max_fringes: Count | None = None,
-    min_px_per_fringe: Annotated[float, FINITE, Ge(MIN_PIXELS_PER_FRINGE)] = 5.0,
+    max_fringes: FringeCount | None = None,
+    min_px_per_fringe: FringeWidth = 5.0,
 ) -> list[int]:
     """Return the fringe counts that divide the width and are not too fine (thesis 4.2.1).
 
@@ -213,11 +213,11 @@ def left_out(noise: PhaseNoise, counts: Sequence[int], width_px: int) -> dict[in
 
 @checked
 def thesis_sequence(
-    width_px: int,
+    width_px: PanelWidth,
     noise: PhaseNoise,
     counts: Sequence[int] | None = None,
     *,
-    safety: Annotated[float, FINITE, Gt(1.0)] = 2.0,
+    safety: Annotated[float, FINITE, Interval(gt=1.0, le=1000.0)] = 2.0,
     noise_step: float | None = None,
     phase_model: PhaseModel = "exact",
     method: Method = "exact",
@@ -369,7 +369,7 @@ def sequence_table(designs: Mapping[str, SequenceDesign]) -> Table:
 
 
 def predict(
-    width_px: int,
+    width_px: PanelWidth,
     noise: PhaseNoise,
     fringes: Sequence[int],
     shifts: int | Sequence[int] | None = None,

@@ -24,7 +24,7 @@ from slbench.core.errors import InputError, located
 from slbench.core.io import read_table
 from slbench.core.show.display import brief
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Finite, Pair, Positive, Size
+from slbench.core.validation.types import Coordinate, Measure, Pair, Size
 from slbench.core.validation.values import Value, validated
 from slbench.detector.base import DetectorModel, detector_of
 from slbench.detector.emva1288 import Detector
@@ -117,13 +117,13 @@ class Hardware(Value):
 
     camera: Camera
     projector: Projector
-    camera_distance_mm: tuple[Positive, Positive]
-    projector_distance_mm: tuple[Positive, Positive]
-    lower: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
-    upper: tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+    camera_distance_mm: tuple[Measure, Measure]
+    projector_distance_mm: tuple[Measure, Measure]
+    lower: tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
+    upper: tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
     volume_mm: Size = (60.0, 70.0, 30.0)
     coded_axes: Literal[1, 2] = 1
-    circle_px: Positive = 1.0
+    circle_px: Measure = 1.0
     refocused: tuple[bool, bool] = (True, True)
     detector: DetectorModel = field(default_factory=Detector)
 
@@ -288,8 +288,8 @@ def read_configurations(path: str | Path) -> Array:
 
 
 class _Design(Parameters):
-    camera_working_distance_mm: tuple[Positive, Positive]
-    projector_working_distance_mm: tuple[Positive, Positive]
+    camera_working_distance_mm: tuple[Measure, Measure]
+    projector_working_distance_mm: tuple[Measure, Measure]
     z_ref_mm: Pair
     w_mm: Pair
     h_mm: Pair
@@ -297,7 +297,7 @@ class _Design(Parameters):
     alpha_p_deg: Pair
     beta_p_deg: Pair
     coded_axes: Literal[1, 2] = 1
-    circle_of_confusion_px: Positive = 1.0
+    circle_of_confusion_px: Measure = 1.0
 
 
 class _Volume(Parameters):

@@ -24,7 +24,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_toml
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.values import validated
-from slbench.core.validation.wording import _base, _fields
+from slbench.core.validation.wording import _fields, base_of
 from slbench.datasets.spec.distributions import Distribution
 from slbench.datasets.spec.specification import Specification
 from slbench.design.rig import hardware
@@ -103,10 +103,10 @@ def _reached(model: Any) -> Iterator[str]:
             if issubclass(base, Parameters):
                 yield base.__name__
         for hint in _fields(model).values():
-            yield from _reached(_base(hint))
+            yield from _reached(base_of(hint))
     elif get_origin(model) is not None:
         for argument in get_args(model):
-            yield from _reached(_base(argument))
+            yield from _reached(base_of(argument))
 
 
 def test_every_model_of_a_file_is_tried():
