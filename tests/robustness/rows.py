@@ -378,6 +378,8 @@ STARTS = {
     "objects list": "--kinds",
     "export": "scene.toml out/a.xml --pinhole",
 }
+#: Options that name what is written.
+WRITTEN = {"--out", "--report", "--plot", "--write-noise", "--junit", "--baseline"}
 #: Not run with whatever comes: a render of a minute, or the test of the machine.
 TOO_LONG = {"doctor"}
 
@@ -409,7 +411,7 @@ def command_line(random: mutate.Random, folder: Path) -> Case:
     name = mutate.pick(random, sorted(known))
     names = inspect.signature(inspect.unwrap(known[name].callback)).parameters
     options = [max(p.opts, key=len) for p in known[name].params if p.name in names]
-    options = [option for option in options if option.startswith("--")]
+    options = [option for option in options if option.startswith("--")] or ["--stranger"]
     words = [*name.split(), *STARTS.get(name, "missing").split()]
     for _ in range(int(random.integers(1, 3))):
         option = mutate.pick(random, options) if random.random() < 0.95 else "--stranger"
@@ -418,11 +420,11 @@ def command_line(random: mutate.Random, folder: Path) -> Case:
             words.append(mutate.pick(random, OPTIONS))
     if random.random() < 0.1:
         words.pop(int(random.integers(len(words))))
-    # Nothing of these words leads out of the folder, but for what would be written there.
-    out = [k for k, word in enumerate(words) if word in ("--out", "--report", "--plot")]
-    for k in out:
-        if k + 1 < len(words) and words[k + 1] in ("../../x", "/"):
-            words[k + 1] = "out/x"
+    # What is written lands in ``out``: the folder's other files are watched.
+    for k, word in enumerate(words[:-1]):
+        name = words[k + 1]
+        if word in WRITTEN and not name.startswith(("out", "-")) and name:
+            words[k + 1] = "out/x" if name in (".", "/", "../../x") else f"out/{name}"
     return Case({}, words)
 
 
@@ -458,7 +460,14 @@ ROWS: list[Row] = [
         )
         for kind in ("png", "tiff", "jpg")
     ),
-    of_file("stack.toml", "stack/stack.toml", "fuse stack --out out", stack, toml_of, 0.5),
+    of_file(
+        "stack.toml",
+        "stack/stack.toml",
+        "fuse stack --method modulation --out out",
+        stack,
+        toml_of,
+        0.5,
+    ),
     of_file(
         *("model.json", "model.json"),
         "calibrate apply model.json capture --out out/c.ply",

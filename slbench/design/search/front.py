@@ -156,7 +156,7 @@ def _check_loaded(
     path: str | Path, values: dict[str, FloatArray], evaluations: int, stopped: str
 ) -> None:
     """Refuse a file whose arrays do not fit each other."""
-    k, d = len(values["x"]), values["lower"].size
+    k, d = values["x"].shape[0] if values["x"].ndim else 0, values["lower"].size
     m = values["f"].shape[-1] if values["f"].ndim else 0
     shapes = {
         "x": (k, d),
