@@ -38,6 +38,8 @@ _KEYS = {
     "aperture_radius_mm": "aperture_radius_mm_{}",
     "focus_distance_mm": "focus_distance_mm_{}",
     "kind": "lens_{}",
+    "principal_point": "K_{}",
+    "distortion": "dist_{}",
     "tilt_rad": "dist_{}",
     "width": "size_{}",
     "height": "size_{}",
@@ -56,7 +58,8 @@ def _blaming_the_file(path: str | Path, name: str) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        key = _KEYS[error.where.split()[-1].partition("[")[0]].format(name)
+        field = error.where.split()[-1].partition("[")[0]
+        key = _KEYS.get(field, field).format(name)
         raise InputError(f"{path}: {key}", error.expected, error.got) from None
 
 

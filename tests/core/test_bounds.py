@@ -6,6 +6,7 @@ unpacked it would end with another message, or none.
 
 import io as memory
 import json
+import resource
 import struct
 import subprocess
 import sys
@@ -206,3 +207,18 @@ def test_an_exr_of_known_shape_may_be_as_flat_as_it_is(tmp_path, monkeypatch):
     assert io.read_exr(path, (300, 400))["point.Z"].shape == (300, 400)
     with pytest.raises(InputError, match="expected 300 x 400 px, got 400 x 300 px"):
         io.read_exr(path, (400, 300))
+
+
+def test_a_chunk_of_a_png_that_says_to_be_longer_than_the_file_costs_nothing(tmp_path):
+    # OpenCV takes memory for what the chunk's length says before it reads it.
+    path = tmp_path / "a.png"
+    io.write_png(path, np.zeros((24, 32), np.uint8))
+    content = bytearray(path.read_bytes())
+    at = content.index(b"IDAT") - 4
+    content[at : at + 4] = (0x7F000000).to_bytes(4, "big")
+    path.write_bytes(content)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match="cut off or damaged"):
+        io.read_grey(path)
+    grown_kib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+    assert grown_kib < 100_000

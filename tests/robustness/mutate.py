@@ -101,7 +101,7 @@ def _change(random: Random, place: Any, key: Any) -> None:
             else:
                 place.append(pick(random, NUMBERS))
         case _:  # whole for broken, broken for whole, and a number as text
-            if isinstance(value, bool | str | list | dict):
+            if value is None or isinstance(value, bool | str | list | dict):
                 place[key] = pick(random, NUMBERS)
             else:
                 place[key] = pick(random, [float(value), str(value), [value], value + 0.5])

@@ -4,6 +4,7 @@ EXR (through the OpenEXR package) keeps float32 exactly and names its channels; 
 OpenCV) keeps a camera's 8 or 16 bit digital numbers exactly.
 """
 
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from slbench.core.io.bounds import check_image, check_size
 from slbench.core.io.headers import image_header
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 #: Bytes of an image file, which OpenCV counts in 31 bits.
 _LARGEST = 2**31 - 1
 
@@ -206,6 +208,8 @@ def _decoded(path: str | Path) -> NDArray[Any]:
     check_image(path, *header)
     if content.startswith(b"\xff\xd8") and not _jpeg_is_whole(content):
         raise InputError(path, "an image file", "a JPEG that is cut off")
+    if content.startswith(_PNG_SIGNATURE) and not _png_is_whole(content):
+        raise InputError(path, "an image file", "a PNG that is cut off or damaged")
     encoded = np.frombuffer(content, dtype=np.uint8)
     try:
         image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
@@ -216,6 +220,20 @@ def _decoded(path: str | Path) -> NDArray[Any]:
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError(path, "an image of 8 or 16 bit", describe(image))
     return image
+
+
+def _png_is_whole(content: bytes) -> bool:
+    """Return whether a PNG's chunks lie within it, up to its end.
+
+    OpenCV takes memory for as many bytes as a chunk says it has, two gigabytes if need be.
+    """
+    at = len(_PNG_SIGNATURE)
+    while at + 12 <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, at)
+        at += 12 + length
+        if kind == b"IEND":
+            return at <= len(content)
+    return False
 
 
 def _jpeg_is_whole(content: bytes) -> bool:

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
 from slbench.core.show.display import brief
+from slbench.core.validation.types import LARGEST
 
 FloatArray = NDArray[np.float64]
 
@@ -171,8 +172,8 @@ def _check_loaded(
     for name, shape in shapes.items():
         if values[name].shape != shape:
             raise InputError(f"{path}: {name}", f"shape {shape}", values[name].shape)
-        if not np.isfinite(values[name]).all():
-            raise InputError(f"{path}: {name}", "finite numbers", "NaN or infinity")
+        if not (np.abs(values[name]) <= LARGEST).all():
+            raise InputError(f"{path}: {name}", f"numbers up to {LARGEST:g}", "others")
     if (values["unit"] < 0).any() or (values["unit"] > 1).any():
         raise InputError(f"{path}: unit", "numbers in [0, 1]", "others")
     if (values["step"] <= 0).any() or (values["step"] > 1).any():
