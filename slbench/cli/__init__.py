@@ -162,5 +162,5 @@ def _explained(error: Exception) -> tuple[int, str]:
     last = traceback.extract_tb(error.__traceback__)[-1]
     return FAULT, (
         f"a fault of slbench's own, not of the input: {error!r} at {last.filename}:{last.lineno}; "
-        "--debug shows how it came there"
+        "please report it to the maintainers (CONTRIBUTING.md) with what --debug shows"
     )

@@ -33,7 +33,9 @@ from slbench.objects.cache import cached
 from slbench.objects.registry import artefacts
 
 
-class _ArtefactFile(Parameters):
+class ArtefactFile(Parameters):
+    """The tables of an artefact's file."""
+
     kind: str
     source: str
     parameters: dict[str, Any] = Field(default_factory=dict)
@@ -122,6 +124,19 @@ def measure(artefact: Artefact) -> dict[str, float]:
     return measured
 
 
+def read_artefact_file(path: Path) -> ArtefactFile:
+    """Read the tables of an artefact's file, and check them.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be used, or its kind is none.
+    """
+    file = validated(ArtefactFile, read_toml(path), path.name, separator=": ")
+    artefacts.get(file.kind, f"{path.name}: kind")
+    return file
+
+
 def load_artefact(name_or_path: str | Path) -> Artefact:
     """Load an artefact from a TOML file.
 
@@ -141,8 +156,7 @@ def load_artefact(name_or_path: str | Path) -> Artefact:
         If the file cannot be used, or certifies what its mesh does not have.
     """
     path = resources.find("objects", name_or_path)
-    file = validated(_ArtefactFile, read_toml(path), path.name, separator=": ")
-    artefacts.get(file.kind, f"{path.name}: kind")
+    file = read_artefact_file(path)
     where = f"{path.name}: parameters"
     artefact, measured = _built(file.kind, file.parameters, where, path.stem, path.parent)
     for key, value in file.certified.items():

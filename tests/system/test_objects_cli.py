@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
+from scenes_small import check_refused, run_cli
 
 from slbench import objects
 from slbench.cli import main
@@ -124,3 +125,12 @@ def test_default_resolution_builds_in_time(name, monkeypatch):
     start = time.process_time()
     objects.load_artefact(name)
     assert time.process_time() - start < 6.0
+
+
+@pytest.mark.parametrize("line", ["parameters = 3.0", 'parameters = "a"', "parameters = [1]"])
+def test_a_file_whose_parameters_are_no_table_is_refused_with_changes_too(line, tmp_path):
+    path = tmp_path / "o.toml"
+    path.write_text(f'kind = "plane"\nsource = "x"\n{line}\n')
+    for changes in ([], ["--set", "x=1"]):
+        outcome = run_cli("objects", "build", path, *changes, "--out", tmp_path / "m.stl")
+        check_refused(outcome, "o.toml: parameters")

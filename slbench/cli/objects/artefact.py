@@ -23,21 +23,20 @@ def artefact_of(name: str, changes: list[str] | None) -> objects.Artefact:
     """Load an artefact, with some of its parameters changed."""
     from slbench import objects
     from slbench.core import resources
-    from slbench.core.io import read_toml
+    from slbench.objects.loading import read_artefact_file
 
     if not changes:
         return objects.load_artefact(name)
     path = resources.find("objects", name)
-    content = read_toml(path)
-    parameters = dict(content.get("parameters", {}))
+    file = read_artefact_file(path)
+    parameters = dict(file.parameters)
     for change in changes:
         key, equals, text = change.partition("=")
         if not equals or not key.strip():
             raise InputError("--set", "parameter=value", change)
         parameters[key.strip()] = _value(text)
-    kind = content.get("kind")
     where = f"{path.name}: parameters"
-    return objects.build_artefact(str(kind), parameters, where, name=path.stem, folder=path.parent)
+    return objects.build_artefact(file.kind, parameters, where, name=path.stem, folder=path.parent)
 
 
 def _value(text: str) -> Any:
