@@ -56,6 +56,9 @@ _ROUNDING_VARIANCE = 1.0 / 12.0
 # More than fits in any well, and what single precision can square.
 _MOST_E = 1e12
 
+#: Photons of a unit of radiance.  A watt is 10^18 a second, and a dim panel wants many seconds.
+_Scale = Annotated[float, FINITE, Interval(ge=1e-15, le=1e27)]
+
 #: Normal numbers drawn at a time: what is done with them is then vectorised, in the cache.
 _BLOCK = 1024
 
@@ -199,7 +202,7 @@ class Detector(Value, DetectorModel):
         exposure_s: NotNegative,
         rng: np.random.Generator | None = None,
         noise: bool = True,
-        scale: Positive = 1.0,
+        scale: _Scale = 1.0,
     ) -> FrameArray:
         """Expose frames: mean photons in, digital numbers out.
 

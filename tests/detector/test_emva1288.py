@@ -188,6 +188,15 @@ def test_scale_turns_radiance_into_photons():
         assert np.abs(wanted.astype(int) - scaled).max() <= 1
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1e16, 1e20])
+def test_a_radiance_may_be_small_beside_its_photons(scale):
+    # A watt is 2.8e18 photons of 550 nm a second; ten seconds of a dim panel are beyond 1e15.
+    radiance = np.full((1, 20, 30), 1e4 / scale)
+    exposed = Detector().expose(radiance, 0.01, noise=False, scale=scale)
+    assert np.array_equal(exposed, Detector().expose(radiance * scale, 0.01, noise=False))
+    assert 0 < exposed.min() < Detector().saturation_dn
+
+
 def test_few_electrons_are_exactly_poisson():
     detector = Detector(
         bit_depth=16,
