@@ -423,7 +423,7 @@ def command_line(random: mutate.Random, folder: Path) -> Case:
     # What is written lands in ``out``: the folder's other files are watched.
     for k, word in enumerate(words[:-1]):
         name = words[k + 1]
-        if word in WRITTEN and not name.startswith(("out", "-")) and name:
+        if word in WRITTEN and not name.startswith(("out", "--")) and name:
             words[k + 1] = "out/x" if name in (".", "/", "../../x") else f"out/{name}"
     return Case({}, words)
 

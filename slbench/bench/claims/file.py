@@ -37,7 +37,7 @@ from slbench.core.modules import load_modules
 from slbench.core.registry import quoted
 from slbench.core.show.display import brief
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Axes, Confidence, Samples, Shifts, Word
+from slbench.core.validation.types import LARGEST, Axes, Confidence, Samples, Shifts, Word
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
 
@@ -367,23 +367,23 @@ def _limit(value: Any, sign: int, where: str) -> Limit:
         return Limit(sign, number)
     match = _TIMES.fullmatch(value) if isinstance(value, str) else None
     if match is None:
-        expected = 'a finite number, or text such as "0.5 * step[2.5].error_mm"'
+        expected = 'a number, or text such as "0.5 * step[2.5].error_mm"'
         raise InputError(where, expected, shown(value))
     factor = float(match[1] or 1.0)  # of text: infinite where it is too large
-    if not np.isfinite(factor):
-        raise InputError(where, "a finite factor", shown(value))
+    if not abs(factor) <= LARGEST:
+        raise InputError(where, f"a factor up to {LARGEST:g}", shown(value))
     return Limit(sign, factor, match[2])
 
 
 def _number(value: Any) -> float | None:
-    """Return a finite number; None for anything else."""
+    """Return a number that means something; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
         number = float(value)
     except OverflowError:  # TOML's integers have no end
         return None
-    return number if np.isfinite(number) else None
+    return number if abs(number) <= LARGEST else None
 
 
 def _settings(table: _Settings, base: Settings, folder: Path, where: str = "") -> Settings:

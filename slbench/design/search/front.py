@@ -141,7 +141,7 @@ class Front:
         try:
             values = {name: arrays[name].astype(np.float64) for name in (*_ARRAYS, "history")}
             evaluations = int(arrays["evaluations"])
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, OverflowError) as error:
             raise InputError(path, "a front, of numbers", error) from error
         stopped = str(arrays["stopped"])
         _check_loaded(path, values, evaluations, stopped)
