@@ -88,7 +88,7 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
             "half_spaces": [[1.0]],
         },
     ),
-    (loading._ArtefactFile, OBJECTS["sphere"]),
+    (loading.ArtefactFile, OBJECTS["sphere"]),
     *((bsdfs.get(name), {}) for name in bsdfs),
     *((artefacts.get(t["kind"]).parameters, t["parameters"]) for t in OBJECTS.values()),
 ]
