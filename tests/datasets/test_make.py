@@ -633,7 +633,7 @@ class TestVerify:
             ({"description": 5}, "description: expected text"),
             ({"preview": "no"}, "preview: expected true or false"),
             ({"count": True}, "count: expected a whole number"),
-            ({"seed": -1}, "seed: expected a whole number >= 0"),
+            ({"seed": -1}, "seed: expected a whole number"),
             ({"columns": {"a": 5}}, r"columns\.a"),
             ({"columns": {"a": "double"}}, r"columns\.sample"),
             ({"drawn": 5}, "drawn: expected a list"),

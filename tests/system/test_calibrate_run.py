@@ -86,7 +86,7 @@ def test_the_model_measures_another_capture(outcome, tmp_path):
         (("ch8-plane",), ("a grid of dots",)),
         (("ch8-grid", "--weights", "best"), ("--weights", "best")),
         (("ch8-grid", "--remapping", "near"), ("--remapping", "near")),
-        (("ch8-grid", "--y-step-um", "nan"), ("stage", "nan")),
+        (("ch8-grid", "--y-step-um", "nan"), ("--y-step-um", "nan")),
         (("ch8-grid", "--stage-um", "inf"), ("stage", "inf")),
     ],
 )

@@ -286,15 +286,18 @@ def test_the_order_of_the_candidates_does_not_matter():
         ({"max_probability": 0.0}, r"^max_probability: expected a number in \(0, 1\), got 0.0$"),
         ({"max_probability": 1.0}, r"^max_probability: expected a number in \(0, 1\), got 1.0$"),
         ({"max_probability": np.nan}, r"^max_probability: expected a number in \(0, 1\)"),
-        ({"safety": 0.9}, "^safety: expected a finite number >= 1, got 0.9$"),
-        ({"safety": np.nan}, "^safety: expected a finite number >= 1, got nan$"),
-        ({"safety": np.inf}, "^safety: expected a finite number >= 1, got inf$"),
+        ({"safety": 0.9}, "^safety: expected a number in .1, 1000., got 0.9$"),
+        ({"safety": np.nan}, "^safety: expected a number in .1, 1000., got nan$"),
+        ({"safety": np.inf}, "^safety: expected a number in .1, 1000., got inf$"),
         ({"frames": 2}, "^frames: expected a whole number from 3 to 100, got 2$"),
         ({"frames": 101}, "^frames: expected a whole number from 3 to 100, got 101$"),
         ({"frames": -9}, "^frames: expected a whole number from 3 to 100, got -9$"),
         ({"counts": [5, 10]}, "^phase noise: expected finite noise of 1 fringe"),
         ({"counts": []}, "^phase noise: expected finite noise of 1 fringe"),
-        ({"counts": None, "width_px": 2}, "^width_px: expected a whole number >= 3 .px., got 2$"),
+        (
+            {"counts": None, "width_px": 2},
+            "^width_px: expected a whole number from 3 to 65536 .px., got 2$",
+        ),
     ],
 )
 def test_refuses_in_one_line(options, message):
