@@ -296,7 +296,7 @@ def test_the_order_of_the_candidates_does_not_matter():
         ({"counts": []}, "^phase noise: expected finite noise of 1 fringe"),
         (
             {"counts": None, "width_px": 2},
-            "^width_px: expected a whole number from 3 to 65536 .px., got 2$",
+            "^width_px: expected a whole number from 3 .*, got 2$",
         ),
     ],
 )

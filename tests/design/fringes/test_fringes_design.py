@@ -442,7 +442,7 @@ def test_candidates_divide_the_width():
 @pytest.mark.parametrize(
     ("arguments", "options", "message"),
     [
-        ((2,), {}, "^width_px: expected a whole number from 3 to 65536 .px., got 2$"),
+        ((2,), {}, "^width_px: expected a whole number from 3 .*, got 2$"),
         ((400.0,), {}, "^width_px: expected a whole number"),
         ((4,), {}, "^min_px_per_fringe: expected at most the width, 4 px, got 5.0$"),
         ((400,), {"min_px_per_fringe": 2.0}, "^min_px_per_fringe: expected a number"),
@@ -450,7 +450,7 @@ def test_candidates_divide_the_width():
         (
             (400,),
             {"max_fringes": 0},
-            "^max_fringes: expected a whole number from 1 to 65536, got 0$",
+            "^max_fringes: expected a whole number from 1 .*, got 0$",
         ),
     ],
 )
@@ -474,7 +474,7 @@ def test_candidates_refuse_in_one_line(arguments, options, message):
         ({"method": "guess"}, "^method: expected exact or monte-carlo, got 'guess'"),
         (
             {"method": "monte-carlo", "repeats": 0},
-            "^repeats: expected a whole number from 1 to 10000000, got 0$",
+            "^repeats: expected a whole number from 1 .*, got 0$",
         ),
         ({"counts": [5, 10]}, "^phase noise: expected finite noise of 1 fringe"),
         ({"counts": []}, "^phase noise: expected finite noise of 1 fringe"),

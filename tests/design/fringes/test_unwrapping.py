@@ -282,8 +282,8 @@ def test_order_error_probability_broadcasts_and_is_the_sums():
         ((10, 0.1, 0.1), {"model": "thesis"}, r"^width_px: expected the coded width"),
         ((7, 0.1, 0.1), {"model": "thesis", "width_px": 400}, r"^fringes: expected a divisor of"),
         ((400, 0.1, 0.1), {"model": "thesis", "width_px": 400}, r"^fringes: expected at least 2"),
-        ((0, 0.1, 0.1), {}, r"^fringes: expected a whole number from 1 to 10000000, got 0$"),
-        ((np.nan, 0.1, 0.1), {}, r"^fringes: expected a whole number from 1 to 10000000, got nan$"),
+        ((0, 0.1, 0.1), {}, r"^fringes: expected a whole number from 1 .*, got 0$"),
+        ((np.nan, 0.1, 0.1), {}, r"^fringes: expected a whole number from 1 .*, got nan$"),
         ((10, 0.1, 0.1), {"model": "ideal"}, r"^model: expected exact or thesis, got"),
         ((10, 0.1, 0.1), {"model": "ideal", "width_px": 400}, r"^model: expected exact or thesis"),
     ],
@@ -297,7 +297,7 @@ def test_closed_form_refuses_in_one_line(arguments, options, message):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"repeats": 0}, r"^repeats: expected a whole number from 1 to 10000000, got 0$"),
+        ({"repeats": 0}, r"^repeats: expected a whole number from 1 .*, got 0$"),
         ({"width_px": 401}, r"^fringes: expected a divisor of the width, 401 px, got 10$"),
         ({"model": "ideal"}, r"^model: expected exact or thesis, got 'ideal'"),
         ({"sigma_phase": -1.0}, r"^sigma_phase: expected finite numbers >= 0 rad"),
