@@ -98,13 +98,14 @@ def processor_time(*arguments: str) -> float:
 
 
 def test_imports_cost_little():
-    # Limits relative to two imports that everybody pays, alternated in the same minute.
+    # Limits relative to two imports that everybody pays, alternated in the same minute. The
+    # last is 1.7 to 2.3 by the machine; Matplotlib or SciPy's optimisers alone would add 2.4.
     unit = ("-c", "import numpy, typer")
     limits = {
         ("-c", "import slbench"): 0.7,
         ("-m", "slbench", "--version"): 1.5,
         ("-c", "import slbench.capture"): 2.0,
-        ("-c", "import slbench.capture.capture"): 2.0,
+        ("-c", "import slbench.capture.capture"): 3.0,
     }
     times = {arguments: [] for arguments in (unit, *limits)}
     for _ in range(3):

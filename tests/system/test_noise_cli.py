@@ -73,4 +73,4 @@ def test_bad_input_is_refused_in_one_line(tmp_path):
     file = tmp_path / "file"
     file.write_text("x")
     check_refused(run_cli("design", "noise", "ch8-stack", "--out", file), "--out", "a file")
-    check_refused(run_cli("design", "noise", "ch8-stack", "--max-fringes", 0), "max_fringes", "0")
+    check_refused(run_cli("design", "noise", "ch8-stack", "--max-fringes", 0), "--max-fringes", "0")

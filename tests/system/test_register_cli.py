@@ -86,7 +86,7 @@ def test_bad_input(folder, tmp_path):
     refused(*two, "--positions", stage, words=["stage.csv", "2 rows", "got 3"])
     refused(views, "--positions", tmp_path / "none.csv", words=["none.csv"])
     refused(views, "--positions", stage, "--stage-um", 0, words=["--stage-um"])
-    refused(views, "--positions", stage, "--stage-um", 1e9, words=["stage sigma", "below", "mm"])
+    refused(views, "--positions", stage, "--stage-um", 1e9, words=["--stage-um", "1000000"])
     refused(views, "--positions", stage, "--tilt-mrad", "nan", words=["--tilt-mrad"])
     refused(views, "--positions", stage, "--voxel-um", -1, words=["--voxel-um"])
     refused(folder, "--positions", stage, words=["folder of two PLY files"])
