@@ -31,6 +31,7 @@ from slbench.core.show.display import length, numbers
 from slbench.core.validation.types import (
     MAX_PIXELS,
     Angle,
+    Blur,
     Distortion,
     Measure,
     Pair,
@@ -48,6 +49,7 @@ from slbench.rig.distortion import (
 )
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners, product
+from slbench.rig.spread import Spread
 
 if TYPE_CHECKING:
     from slbench.rig.kernels import Optics
@@ -72,6 +74,9 @@ class Device(Value):
         OpenCV's ``k1, k2, p1, p2, k3``.
     tilt_rad : (float, float)
         OpenCV's ``tauX, tauY``.
+    blur_px : float
+        Standard deviation of a Gaussian for what the lens blurs beyond defocus and
+        diffraction, in pixels along u.
     pose : Pose
     body_mm : (float, float, float) or None
         Size of the housing along x, y, z, a box behind the nodal point with the optical axis
@@ -87,6 +92,7 @@ class Device(Value):
     tilt_rad: tuple[Angle, Angle] = (0.0, 0.0)
     pose: Pose = field(default_factory=Pose)
     body_mm: Size | None = None
+    blur_px: Blur = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -278,6 +284,11 @@ class Device(Value):
         c = self.lens.focal_length_mm
         return np.array([-r31 / (c * r33), -r32 / (c * r33), 1.0 / self.lens.focus_distance_mm])
 
+    @property
+    def spread(self) -> Spread:
+        """What the lens makes of a point, in pixels along u; the depth adds the circle."""
+        return Spread(self.lens.diffraction_mm / self.pitch_mm[0], self.blur_px)
+
     def circle_of_confusion(self, points: ArrayLike) -> Array:
         """Return the diameter of the blur disc of world points, in pixels along u.
 
@@ -298,7 +309,7 @@ class Device(Value):
         depth = self.lens.focus_distance_mm if self.lens.kind == "telecentric" else local[..., 2]
         # n . X - 1 = Z (1/s - 1/Z) + tilt terms
         offset = np.abs((product(local, self.focus_plane) - 1.0) / depth)
-        blur = 2.0 * self.lens.aperture_radius_mm * self.lens.focal_length_mm * offset
+        blur = 2.0 * self.lens.defocusing_radius_mm * self.lens.focal_length_mm * offset
         return blur / self.pitch_mm[0]
 
     def depth_of_field(self, circle_px: float = 1.0) -> tuple[float, float]:
@@ -316,7 +327,7 @@ class Device(Value):
             distance, both are trivial (0, inf) for a pinhole.
         """
         a, c, s = (
-            self.lens.aperture_radius_mm,
+            self.lens.defocusing_radius_mm,
             self.lens.focal_length_mm,
             self.lens.focus_distance_mm,
         )

@@ -30,6 +30,12 @@ class Lens(Value):
     natural_vignetting : bool
         Whether the cos^4 law holds.  False describes a lens corrected for uniform
         illumination.  A telecentric lens has none.
+    wavelength_nm : float
+        Of the light that diffraction is counted with, nm; 0 is geometric optics.  A pinhole
+        has no diffraction: it is the ideal of sharpness.
+    all_in_focus : bool
+        Whether the lens is sharp at every distance: what a perfect focus stack sees.  Its
+        aperture lets light through and diffracts, but does not defocus.
     """
 
     focal_length_mm: Measure
@@ -37,6 +43,8 @@ class Lens(Value):
     focus_distance_mm: Annotated[float, Ge(1e-9)] = np.inf
     kind: Literal["perspective", "telecentric"] = "perspective"
     natural_vignetting: bool = True
+    wavelength_nm: NotNegative = 0.0
+    all_in_focus: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -77,6 +85,18 @@ class Lens(Value):
     def magnification(self) -> float:
         """Lateral magnification in the plane in focus."""
         return self.focal_length_mm / self.focus_distance_mm
+
+    @property
+    def defocusing_radius_mm(self) -> float:
+        """Radius of the pupil that defocuses: the aperture's, or 0 where all is in focus."""
+        return 0.0 if self.all_in_focus else self.aperture_radius_mm
+
+    @property
+    def diffraction_mm(self) -> float:
+        """Unit of diffraction ``lambda / NA`` on the panel, mm; 0 in geometric optics."""
+        if self.aperture_radius_mm == 0:
+            return 0.0
+        return 1e-6 * self.wavelength_nm * self.focal_length_mm / self.aperture_radius_mm
 
     @property
     def f_number(self) -> float:

@@ -6,8 +6,8 @@ projector; ``R``, ``T`` from camera to projector coordinates (the convention of
 coordinates (default: identity, the world is the camera's frame).  OpenCV has no word for
 apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers),
 ``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
-``body_mm_*`` (3 numbers), ``name_*``, ``flux_w``, ``bit_depth_projector``,
-``gamma_projector``, ``volume_mm``.
+``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``name_*``, ``flux_w``,
+``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ _KEYS = {
     "aperture_radius_mm": "aperture_radius_mm_{}",
     "focus_distance_mm": "focus_distance_mm_{}",
     "kind": "lens_{}",
+    "wavelength_nm": "wavelength_nm_{}",
+    "blur_px": "blur_px_{}",
     "principal_point": "K_{}",
     "distortion": "dist_{}",
     "tilt_rad": "dist_{}",
@@ -85,6 +87,8 @@ def write_rig(path: str | Path, rig: Rig) -> None:
         if np.isfinite(device.lens.focus_distance_mm):
             values[f"focus_distance_mm_{name}"] = float(device.lens.focus_distance_mm)
         values[f"lens_{name}"] = device.lens.kind
+        values[f"wavelength_nm_{name}"] = float(device.lens.wavelength_nm)
+        values[f"blur_px_{name}"] = float(device.blur_px)
         if device.body_mm is not None:
             values[f"body_mm_{name}"] = np.array(device.body_mm, dtype=np.float64)
         values[f"natural_vignetting_{name}"] = int(device.lens.natural_vignetting)
@@ -177,7 +181,14 @@ def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
     if vignetting not in (0, 1):
         raise InputError(f"{values.path}: natural_vignetting_{name}", "0 or 1", vignetting)
     with _blaming_the_file(values.path, name):
-        lens = Lens(float(focal), aperture, focus, kind, bool(vignetting))  # type: ignore[arg-type]
+        lens = Lens(
+            float(focal),
+            aperture,
+            focus,
+            kind,  # type: ignore[arg-type]
+            bool(vignetting),
+            values.number(f"wavelength_nm_{name}", 0.0),
+        )
     body = None
     if f"body_mm_{name}" in values.values:
         body = tuple(float(size) for size in values.array(f"body_mm_{name}", (3,)))
@@ -190,6 +201,7 @@ def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
         "principal_point": (float(matrix[0, 2]), float(matrix[1, 2])),
         "distortion": tuple(float(x) for x in np.append(distortion[:5], 0.0)[:5]),
         "tilt_rad": tuple(float(x) for x in distortion[12:14]) or (0.0, 0.0),
+        "blur_px": values.number(f"blur_px_{name}", 0.0),
     }
 
 

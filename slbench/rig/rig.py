@@ -237,10 +237,10 @@ class Rig:
             {name: self.devices[name].lens.refocused(d) for name, d in distances_mm.items()}
         )
 
-    def pinholes(self) -> Self:
-        """Return the rig through pinholes, to which everything is in focus."""
+    def all_in_focus(self) -> Self:
+        """Return the rig with lenses that are sharp at every distance, diffraction included."""
         return self._with_lenses(
-            {name: replace(d.lens, aperture_radius_mm=0.0) for name, d in self.devices.items()}
+            {name: replace(d.lens, all_in_focus=True) for name, d in self.devices.items()}
         )
 
     def _check_names(self, names: Iterable[str]) -> None:

@@ -176,8 +176,8 @@ class Scene(Value):
         return replace(self, rig=self.focus.rig(self.rig, setting), focus=None)
 
     def all_in_focus(self) -> Self:
-        """Return the scene through pinholes: what a perfect focus stack would see."""
-        return replace(self, rig=self.rig.pinholes(), focus=None)
+        """Return the scene through lenses without defocus: what a perfect stack sees."""
+        return replace(self, rig=self.rig.all_in_focus(), focus=None)
 
     def coarser(self, divisor: int, samples: int) -> Self:
         """Return the scene seen by a camera of fewer, larger pixels, for a quick look."""

@@ -6,6 +6,7 @@ is refused with the key's full name.  ``docs/reference/scene-files.md`` lists th
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -15,6 +16,7 @@ from slbench.capture.focus import MAX_SETTINGS, Focus
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import (
     Aperture,
+    Blur,
     Bounces,
     Coordinate,
     Count,
@@ -45,6 +47,8 @@ class Optics(Parameters):
     magnification: Measure | None = None
     numerical_aperture: Aperture | None = None
     natural_vignetting: bool = True
+    wavelength_nm: NotNegative = 0.0
+    blur_px: Blur = 0.0
     principal_point_px: Pair | None = None
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     tilt_deg: tuple[TiltDegrees, TiltDegrees] = (0.0, 0.0)
@@ -77,6 +81,7 @@ class Optics(Parameters):
             lens = Lens(
                 self.focal_length_mm, radius, focus, natural_vignetting=self.natural_vignetting
             )
+        lens = replace(lens, wavelength_nm=self.wavelength_nm)
         pitch = self.pitch_um if isinstance(self.pitch_um, tuple) else (self.pitch_um,) * 2
         return {
             "width": self.resolution_px[0],
@@ -85,6 +90,7 @@ class Optics(Parameters):
             "lens": lens,
             "principal_point": self.principal_point_px,
             "distortion": self.distortion,
+            "blur_px": self.blur_px,
             "body_mm": self.body_mm,
             "tilt_rad": (float(np.deg2rad(self.tilt_deg[0])), float(np.deg2rad(self.tilt_deg[1]))),
         }

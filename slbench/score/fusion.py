@@ -1,6 +1,6 @@
 """How good is a fused stack?  Against the frames of the same scene that are sharp everywhere.
 
-A simulation has them: the scene through pinholes (:mod:`slbench.simulate.pinholes`).
+A simulation has them: the scene through pinholes (:mod:`slbench.simulate.sharp`).
 
 Intensities are compared over all patterns, phases over the finest fringe set; both for the
 fused frames and for the single middle setting, inside and outside that setting's depth of

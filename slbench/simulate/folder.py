@@ -18,8 +18,8 @@ from slbench.objects import Mesh
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.points import point_errors
-from slbench.simulate.pinholes import all_in_focus
 from slbench.simulate.scan import Scan
+from slbench.simulate.sharp import all_in_focus
 
 SCAN_FOLDER = OutputFolder(
     "scan",

@@ -34,7 +34,7 @@ from slbench.score.fusion import FusionScore, score_fusion
 from slbench.score.points import Score
 from slbench.score.points import score as score_points
 from slbench.simulate.expose import noise_free_coordinates
-from slbench.simulate.pinholes import expected_frames
+from slbench.simulate.sharp import expected_frames
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
@@ -290,7 +290,7 @@ def scan(
         with stage("trace") as progress:
             transport = trace(
                 scene.objects,
-                rig if scene.focus is None else rig.pinholes(),
+                rig if scene.focus is None else rig.all_in_focus(),
                 scene.light,
                 scene.sequence.variations,
                 samples=scene.samples,

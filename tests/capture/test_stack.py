@@ -23,8 +23,8 @@ from slbench.scene.materials import PRESETS
 from slbench.scene.model import SceneObject
 from slbench.score.fusion import score_fusion
 from slbench.simulate.folder import write_scan
-from slbench.simulate.pinholes import expected_frames
 from slbench.simulate.scan import scan
+from slbench.simulate.sharp import expected_frames
 from slbench.simulate.stack import capture_stack
 
 SEQUENCE = PatternSequence((64, 48), (Flat(1.0), Fringes(1), Fringes(4)))

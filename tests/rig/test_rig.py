@@ -166,7 +166,7 @@ def test_each_device_has_a_name_of_its_own(cameras):
 def test_a_changed_device_keeps_its_name_and_the_others():
     rig = two_cameras().having(left=replace(CAMERA, width=64))
     assert [camera.width for camera in rig.cameras.values()] == [64, 320]
-    assert rig.pinholes().cameras["left"].lens.aperture_radius_mm == 0.0
+    assert rig.all_in_focus().cameras["left"].lens.defocusing_radius_mm == 0.0
     assert rig.focused({"right": 300.0}).cameras["right"].lens.focus_distance_mm == 300.0
     assert rig.focused({"right": 300.0}).cameras["left"] == rig.cameras["left"]
 

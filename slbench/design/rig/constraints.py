@@ -324,7 +324,7 @@ def _constant(device: Device, circle_px: float, moves: bool) -> tuple[Array, ...
     numbers = np.array(
         [
             lens.focal_length_mm,
-            lens.aperture_radius_mm,
+            lens.defocusing_radius_mm,
             lens.focus_distance_mm,
             circle_px * device.pitch_mm[0],
             moves,

@@ -32,7 +32,6 @@ from slbench.rig import (
     Camera,
     DesignVariables,
     Device,
-    Lens,
     Projector,
     Rig,
     box_corners,
@@ -170,13 +169,8 @@ class Hardware(Value):
         lens = device.lens
         if lens.kind == "telecentric":
             # Magnification and cone of rays stay: both lengths go with the distance.
-            scale = distance / lens.focus_distance_mm
-            moved = Lens(
-                lens.focal_length_mm * scale, lens.aperture_radius_mm * scale, distance, lens.kind
-            )
-        else:
-            moved = replace(lens, focus_distance_mm=distance)
-        return replace(device, lens=moved)
+            return replace(device, lens=lens.refocused(distance))
+        return replace(device, lens=replace(lens, focus_distance_mm=distance))
 
     def rig(self, variables: DesignVariables | ArrayLike) -> Rig:
         """Return the rig that one configuration describes, in focus.

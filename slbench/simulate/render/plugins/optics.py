@@ -52,7 +52,7 @@ class PanelOptics:
         self.size = mi.Vector2f(opaque(device.width), opaque(device.height))
         self.focus = mi.Vector3f(*(opaque(n) for n in device.focus_plane))
         self.focus_distance = opaque(lens.focus_distance_mm)
-        self.aperture = opaque(lens.aperture_radius_mm) if lens.aperture_radius_mm > 0 else None
+        self.aperture = opaque(lens.defocusing_radius_mm) if lens.defocusing_radius_mm > 0 else None
         self.distortion = [opaque(k) for k in device.distortion] if any(device.distortion) else None
         self.tilt = self.untilt = None
         if any(device.tilt_rad):

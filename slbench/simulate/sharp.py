@@ -1,7 +1,7 @@
-"""What a perfect focus stack would show: the frames of a scene through pinholes.
+"""What a perfect focus stack would show: the frames of a scene through lenses without defocus.
 
-A pinhole has no exposure of its own; the frames are exposed as those of a stack were, whose
-radiance is the same wherever an aperture's picture is sharp.
+The frames are exposed as those of a stack were, whose radiance is the same wherever its picture is
+sharp.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def expected_frames(
     stack : FocusStack
         In memory, with the rig of each setting.
     transport : LightTransport
-        Through pinholes (:meth:`slbench.rig.Rig.pinholes`).
+        Through lenses without defocus (:meth:`slbench.rig.Rig.all_in_focus`).
     detector : DetectorModel
     exposure : Exposure
     """
@@ -48,13 +48,13 @@ def expected_frames(
 def all_in_focus(
     stack: FocusStack, transport: LightTransport, detector: DetectorModel, exposure: Exposure
 ) -> Capture:
-    """Return the expected frames of a stack through pinholes, rounded as a camera does.
+    """Return the expected frames of a stack without defocus, rounded as a camera does.
 
     Parameters are those of :func:`expected_frames`.
     """
     middle = _middle(stack)
     shutter = stack_shutter(stack, transport, detector, exposure)
-    rig = _rig(middle).pinholes()
+    rig = _rig(middle).all_in_focus()
     return capture(
         transport, middle.sequence, rig, detector, exposure, noise=False, shutter=shutter
     )
@@ -63,7 +63,7 @@ def all_in_focus(
 def stack_shutter(
     stack: FocusStack, transport: LightTransport, detector: DetectorModel, exposure: Exposure
 ) -> Shutter:
-    """Return the shutter that a stack was captured with, for the light through pinholes.
+    """Return the shutter that a stack was captured with, for the light without defocus.
 
     The time is the stack's own.  Parameters are those of :func:`expected_frames`.
     """
