@@ -25,9 +25,12 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
 from slbench.core.show.display import block
 from slbench.core.threads import in_bands
+from slbench.rig.spread import Spread
+from slbench.simulate.footprints import BlurredPanel, Levels
+from slbench.simulate.rows import SparseRows, row_starts
 
 if TYPE_CHECKING:
-    import scipy.sparse
+    pass
 
 Marginal = Literal["u", "v", "uv"]
 
@@ -41,18 +44,22 @@ _INSERTED = 32
 _PANEL_BYTES = 24
 #: Entries that 32 bits count.
 _MOST_INT32 = np.iinfo(np.int32).max
-#: Version of the file layout.
-_FORMAT = 1
+#: Version of the file layout; in the first, all columns are panel pixels.
+_FORMAT = 2
 #: What a file may hold of use.
 _ENTRIES = (
     *("format", "panel", "samples", "ambient"),
     *(f"{name}_{part}" for name in ("u", "v", "uv") for part in ("counts", "indices", "data")),
+    *(f"{name}_{part}" for name in ("u", "v") for part in ("spread", "levels")),
 )
 
 
 @njit(cache=True, nogil=True)
-def _product(indptr, indices, data, panels, ambient, out, start, stop):  # type: ignore[no-untyped-def]
-    """out[k, p] = ambient[p] + sum_j T[p, j] panels[j, k], tile by tile, pixels start to stop."""
+def _product(indptr, indices, data, panels, ambient, least, out, start, stop):  # type: ignore[no-untyped-def]
+    """out[k, p] = ambient[p] + sum_j T[p, j] panels[j, k], tile by tile, pixels start to stop.
+
+    Sums below `least` are set to it.
+    """
     n = out.shape[0]
     sums = np.empty((_TILE, n), np.float32)
     for first in range(start, stop, _TILE):
@@ -66,152 +73,7 @@ def _product(indptr, indices, data, panels, ambient, out, start, stop):  # type:
                     sums[p - first, k] += weight * panels[column, k]
         for k in range(n):
             for p in range(first, last):
-                out[k, p] = ambient[p] + sums[p - first, k]
-
-
-@njit(cache=True, nogil=True)
-def _merge(columns, weights, width, counts, first, last):  # type: ignore[no-untyped-def]
-    """Merge equal columns of samples of pixels first to last in place, sorted; counts[p] survive.
-
-    A dense row of the panel adds up; a pixel touches few of its entries, which are cleared again
-    on the way out, so the cost is that of the samples alone.
-    """
-    row = np.zeros(width, np.float32)
-    for p in range(first, last):
-        n = 0
-        for s in range(columns.shape[1]):
-            weight = weights[p, s]
-            if weight > 0.0:
-                column = columns[p, s]
-                if row[column] == 0.0:
-                    columns[p, n] = column  # n is at most s, which has been read
-                    n += 1
-                row[column] += weight
-        # D. L. Shell's sort, "A high-speed sorting procedure" (CACM 2(7), 1959); few columns are
-        # simply inserted.
-        gap = 1
-        while n > _INSERTED and gap < n // 3:
-            gap = 3 * gap + 1
-        while gap > 0:
-            for i in range(gap, n):
-                value = columns[p, i]
-                k = i
-                while k >= gap and columns[p, k - gap] > value:
-                    columns[p, k] = columns[p, k - gap]
-                    k -= gap
-                columns[p, k] = value
-            gap //= 3
-        for i in range(n):
-            column = columns[p, i]
-            weights[p, i] = row[column]
-            row[column] = 0.0
-        counts[p] = n
-
-
-@njit(cache=True, nogil=True)
-def _pack(columns, weights, indptr, indices, data, first, last):  # type: ignore[no-untyped-def]
-    for p in range(first, last):
-        start = indptr[p]
-        for i in range(indptr[p + 1] - start):
-            indices[start + i] = columns[p, i]
-            data[start + i] = weights[p, i]
-
-
-def _row_starts(counts: NDArray[np.integer]) -> NDArray[np.signedinteger]:
-    """Return where rows of `counts` entries start, and the end: (rows + 1,)."""
-    total = int(counts.sum(dtype=np.int64))
-    kind = np.int32 if total <= _MOST_INT32 else np.int64
-    starts: NDArray[np.signedinteger] = np.zeros(counts.size + 1, kind)
-    np.cumsum(counts, dtype=starts.dtype, out=starts[1:])
-    return starts
-
-
-@dataclass(frozen=True)
-class SparseRows:
-    """A block of matrix rows in CSR form.
-
-    Parameters
-    ----------
-    indptr : (rows + 1,) int32, or int64 where there are more entries than that counts
-    indices : (nonzeros,) uint16 or uint32
-        Panel columns, ascending within a row.
-    data : (nonzeros,) float32
-    width : int
-        Columns of the matrix.
-    """
-
-    indptr: NDArray[np.signedinteger]
-    indices: NDArray[np.unsignedinteger]
-    data: NDArray[np.float32]
-    width: int
-
-    @classmethod
-    def from_samples(
-        cls, columns: NDArray[np.unsignedinteger], weights: NDArray[np.float32], width: int
-    ) -> SparseRows:
-        """Merge samples into rows.  Both inputs are overwritten.
-
-        Parameters
-        ----------
-        columns : (rows, samples) uint16 or uint32
-            Panel column each sample came from, below `width` wherever its weight is positive.
-        weights : (rows, samples) float32
-            Samples of zero weight are dropped.
-        width : int
-        """
-        counts = np.empty(columns.shape[0], np.int32)
-        pixels = len(counts)
-        in_bands(
-            lambda first, last: _merge(columns, weights, width, counts, first, last),
-            pixels,
-            _LEAST,
-        )
-        indptr = _row_starts(counts)
-        indices = np.empty(indptr[-1], columns.dtype)
-        data = np.empty(indptr[-1], np.float32)
-        in_bands(
-            lambda first, last: _pack(columns, weights, indptr, indices, data, first, last),
-            pixels,
-            _LEAST,
-        )
-        return cls(indptr, indices, data, width)
-
-    @classmethod
-    def concatenate(cls, blocks: list[SparseRows]) -> SparseRows:
-        """Stack blocks of rows, emptying `blocks`: pages are touched as blocks are freed."""
-        width = blocks[0].width
-        lengths = np.concatenate([np.diff(block.indptr) for block in blocks])
-        indptr = _row_starts(lengths)
-        indices = np.empty(indptr[-1], blocks[0].indices.dtype)
-        data = np.empty(indptr[-1], np.float32)
-        start = 0
-        while blocks:
-            block = blocks.pop(0)
-            stop = start + block.data.size
-            indices[start:stop] = block.indices
-            data[start:stop] = block.data
-            start = stop
-        return cls(indptr, indices, data, width)
-
-    def band(self, first: int, last: int) -> SparseRows:
-        """Return rows `first` to `last`; nothing is copied but the row starts."""
-        start, stop = self.indptr[first], self.indptr[last]
-        indptr = self.indptr[first : last + 1] - start
-        return SparseRows(indptr, self.indices[start:stop], self.data[start:stop], self.width)
-
-    def scaled(self, factors: NDArray[np.float64]) -> SparseRows:
-        """Return the rows multiplied by `factors` (rows,)."""
-        repeated = np.repeat(factors.astype(np.float32), np.diff(self.indptr))
-        return SparseRows(self.indptr, self.indices, self.data * repeated, self.width)
-
-    def tocsr(self) -> scipy.sparse.csr_array:
-        """Return a SciPy sparse array of float32 (a copy of the indices)."""
-        import scipy.sparse  # a scan does without
-
-        return scipy.sparse.csr_array(
-            (self.data, self.indices.astype(np.int64), self.indptr),
-            shape=(self.indptr.size - 1, self.width),
-        )
+                out[k, p] = ambient[p] + max(sums[p - first, k], least)
 
 
 @dataclass(frozen=True)
@@ -255,6 +117,11 @@ class LightTransport:
             )
         return self.marginals[marginal]
 
+    def _size(self, marginal: Marginal) -> int:
+        """Return the number of panel pixels that a marginal tells apart."""
+        width, height = self.panel
+        return {"u": width, "v": height, "uv": width * height}[marginal]
+
     def relight(self, panels: ArrayLike, along: Marginal = "u") -> NDArray[np.float32]:
         """Return radiance images under patterns that vary along one panel axis, or both.
 
@@ -286,22 +153,24 @@ class LightTransport:
             values = np.asarray(panels, dtype=np.float32)
         except (TypeError, ValueError):
             raise InputError("panel profiles", "numbers", type(panels).__name__) from None
-        if values.ndim != 2 or values.shape[1] != rows.width:
-            raise InputError("panel profiles", f"shape (n, {rows.width})", values.shape)
+        if values.ndim != 2 or values.shape[1] != self._size(marginal):
+            raise InputError("panel profiles", f"shape (n, {self._size(marginal)})", values.shape)
         if not np.all(np.isfinite(values)):
             raise InputError("panel profiles", "finite numbers", "others")
         out = np.empty((len(values), self.ambient.size), np.float32)
         # Panel-major, so that one transport entry serves all patterns in one vector operation.
         panel_major = np.ascontiguousarray(values.T)
         ambient = self.ambient.reshape(-1)
-        given = (rows.indptr, rows.indices, rows.data, panel_major, ambient, out)
+        seen = panel_major if rows.blurred is None else rows.blurred.blur(panel_major)
+        # Interpolation between nodes may undershoot where a panel is dark; light does not.
+        given = (rows.indptr, rows.indices, rows.data, seen, ambient, np.float32(0.0), out)
         in_bands(lambda first, last: _product(*given, first, last), ambient.size, _LEAST)
         return out.reshape(len(values), *self.shape)
 
     def white(self) -> NDArray[np.float32]:
         """Return the radiance image of the fully lit panel, (V, U)."""
         marginal: Marginal = next(iter(self.marginals))
-        return self._relight(np.ones((1, self._rows(marginal).width)), marginal)[0]
+        return self._relight(np.ones((1, self._size(marginal))), marginal)[0]
 
     def view_from_projector(self, camera_image: ArrayLike) -> NDArray[np.float64]:
         """Return ``T^T`` times a camera image: dual photography, needs "uv".
@@ -359,6 +228,11 @@ class LightTransport:
             arrays[f"{name}_counts"] = counts.astype(np.min_scalar_type(counts.max(initial=0)))
             arrays[f"{name}_indices"] = rows.indices
             arrays[f"{name}_data"] = rows.data
+            if rows.blurred is not None:
+                spread = rows.blurred.levels.spread
+                arrays[f"{name}_spread"] = np.array([spread.diffraction_px, spread.blur_px])
+                parts = (rows.blurred.used, rows.blurred.first, rows.blurred.nodes)
+                arrays[f"{name}_levels"] = np.array(parts, np.uint32)
         write_npz(path, **arrays)
 
     @classmethod
@@ -372,8 +246,8 @@ class LightTransport:
         """
         arrays = read_npz(path, _ENTRIES)
         version = _checked(path, arrays, "format", "iu", 0)
-        if int(version) != _FORMAT:
-            raise InputError(f"{path}: format", str(_FORMAT), version)
+        if int(version) not in (1, _FORMAT):
+            raise InputError(f"{path}: format", f"1 or {_FORMAT}", version)
         samples = int(_checked(path, arrays, "samples", "iu", 0))
         ambient = _checked(path, arrays, "ambient", "f", 2).astype(np.float32, copy=False)
         panel = _checked(path, arrays, "panel", "iu", 1)
@@ -389,8 +263,12 @@ class LightTransport:
             indices = _checked(path, arrays, f"{name}_indices", "u", 1)
             if int(counts.max(initial=0)) > indices.size:  # before sums of them can overflow
                 raise InputError(f"{path}: {name}", "a consistent sparse matrix", "a damaged one")
-            indptr = _row_starts(counts)
-            data = _checked(path, arrays, f"{name}_data", "f", 1).astype(np.float32, copy=False)
+            indptr = row_starts(counts)
+            data = _checked(path, arrays, f"{name}_data", "f", 1, least=-np.inf)
+            blurred = None
+            if f"{name}_levels" in arrays:
+                blurred = _blurred(path, arrays, name, size)
+                size = blurred.width
             consistent = (
                 indptr.size == ambient.size + 1
                 and indices.size == data.size == indptr[-1]
@@ -398,22 +276,46 @@ class LightTransport:
             )
             if not consistent:
                 raise InputError(f"{path}: {name}", "a consistent sparse matrix", "a damaged one")
-            marginals[name] = SparseRows(indptr, indices, data, size)
+            marginals[name] = SparseRows(
+                indptr, indices, data.astype(np.float32, copy=False), size, blurred
+            )
         if not marginals:
             raise InputError(path, "at least one of the marginals u, v, uv", "none")
         return cls(marginals, ambient, (width, height), samples)
 
 
 def _checked(
-    path: str | Path, arrays: dict[str, NDArray[Any]], key: str, kinds: str, dimensions: int
+    path: str | Path,
+    arrays: dict[str, NDArray[Any]],
+    key: str,
+    kinds: str,
+    dimensions: int,
+    least: float = 0.0,
 ) -> NDArray[Any]:
-    """Return an array of a file if it is there, of the right kind, finite and not negative."""
+    """Return an array of a file if it is there, of the right kind, finite and not too small."""
     if key not in arrays:
         raise InputError(f"{path}: {key}", "a light transport file", "no such entry")
     array = arrays[key]
     if array.dtype.kind not in kinds or array.ndim != dimensions:
         found = f"{array.dtype} of shape {array.shape}"
         raise InputError(f"{path}: {key}", f"{dimensions}-dimensional numbers", found)
-    if array.size and not (array.min() >= 0 and array.max() < np.inf):
-        raise InputError(f"{path}: {key}", "finite numbers that are not negative", "others")
+    if array.size and not (array.min() >= least and -np.inf < array.min() <= array.max() < np.inf):
+        which = " that are not negative" if least == 0.0 else ""
+        raise InputError(f"{path}: {key}", f"finite numbers{which}", "others")
     return array
+
+
+def _blurred(
+    path: str | Path, arrays: dict[str, NDArray[Any]], name: str, size: int
+) -> BlurredPanel:
+    """Return what the columns of a marginal stand for."""
+    spread = _checked(path, arrays, f"{name}_spread", "f", 1)
+    parts = _checked(path, arrays, f"{name}_levels", "u", 2).astype(np.int64)
+    if spread.shape != (2,) or spread.max() > 1e4 or len(parts) != 3 or parts.max(initial=0) > 1e5:
+        raise InputError(f"{path}: {name}_levels", "levels of a spread", "others")
+    used, first, nodes = parts
+    levels = Levels(Spread(*spread.tolist()), size)
+    whole = levels.grids(int(used.max(initial=0)) + 1).nodes[used]
+    if np.any(np.diff(used) < 1) or np.any(first + nodes > whole):
+        raise InputError(f"{path}: {name}_levels", "ascending levels and their nodes", "others")
+    return BlurredPanel(levels, used, first, nodes)

@@ -18,8 +18,9 @@ Carlo noise cannot masquerade as phase noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, Literal
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,15 +28,19 @@ from numpy.typing import NDArray
 from slbench.core.random import derived_seed
 from slbench.core.validation.types import Samples, Seed
 from slbench.core.validation.values import checked
-from slbench.rig import Rig
+from slbench.rig import Projector, Rig
+from slbench.rig.spread import Spread
 from slbench.scene.model import Light, SceneObject
+from slbench.simulate.footprints import Levels
 from slbench.simulate.render.mitsuba import dr, mi
+from slbench.simulate.render.plugins.camera import camera_ray
 from slbench.simulate.render.plugins.optics import PanelOptics, opaque, opaque_transform
 from slbench.simulate.render.translate import geometry, pose_matrix
-from slbench.simulate.transport import LightTransport, Marginal, SparseRows
+from slbench.simulate.rows import LineRows, PointRows, SampleBlock
+from slbench.simulate.transport import LightTransport, Marginal
 
-#: Samples of one pass.  8 million lanes take about 150 MB and amortise the launch.
-_LANES_PER_PASS = 1 << 23
+#: Samples of one pass.  2 million lanes take about 50 MB and amortise the launch.
+_LANES_PER_PASS = 1 << 21
 
 Axes = tuple[Literal["u", "v", "uv"], ...]
 
@@ -77,17 +82,19 @@ def trace(
     BackendError
         If Mitsuba cannot run here.
     """
-    tracer = _Tracer(objects, rig, light, marginals, samples, seed)
+    tracer = _Tracer(objects, rig, light, samples, seed)
     camera, projector = rig.camera, rig.projector
     # Pixels that strong distortion folds away see nothing.
     fall_off = np.nan_to_num(camera.relative_illumination(camera.pixel_grid()).ravel())
-    blocks: dict[Marginal, list[SparseRows]] = {name: [] for name in marginals}
+    builders: dict[Marginal, LineRows | PointRows] = {
+        name: _rows(projector, name) for name in marginals
+    }
     ambient = np.zeros(camera.width * camera.height, np.float32)
     for first, last in tracer.passes():
-        tracer.run(first, last, blocks, ambient)
+        tracer.run(first, last, builders, ambient)
         if on_progress:
             on_progress(last / ambient.size)
-    rows = {name: SparseRows.concatenate(blocks[name]) for name in marginals}
+    rows = {name: builder.result() for name, builder in builders.items()}
     if np.any(fall_off != 1.0):
         rows = {name: block.scaled(fall_off) for name, block in rows.items()}
         ambient *= fall_off.astype(np.float32)
@@ -99,6 +106,27 @@ def trace(
     )
 
 
+def _rows(projector: Projector, name: Marginal) -> LineRows | PointRows:
+    """Return what adds samples up to rows of a marginal."""
+    spread, (width, height) = projector.spread, (projector.width, projector.height)
+    aspect = projector.pitch_mm[0] / projector.pitch_mm[1]
+    if name == "uv":
+        return PointRows(spread, (width, height), aspect)
+    if name == "u":
+        return LineRows(Levels(spread, width), axis=0)
+    along_v = Spread(spread.diffraction_px * aspect, spread.blur_px * aspect)
+    return LineRows(Levels(along_v, height), axis=1)
+
+
+class _Hit(NamedTuple):
+    """What samples of one bounce see of the projector."""
+
+    weight: Any  #: radiance a unit of the panel's; negative where the lens is hidden
+    chief: Any  #: panel position through the middle of the lens
+    shift: Any  #: from there to the zone of the lens that was looked at
+    circles: Any  #: the disc's half widths along u and v
+
+
 class _Tracer:
     """The kernel and its buffers."""
 
@@ -107,11 +135,9 @@ class _Tracer:
         objects: tuple[SceneObject, ...],
         rig: Rig,
         light: Light,
-        marginals: Axes,
         samples: int,
         seed: int,
     ) -> None:
-        self.marginals = marginals
         self.seed = seed
         self.bounces = light.bounces
         self.ambient = light.ambient_w_per_mm2 / np.pi
@@ -122,16 +148,11 @@ class _Tracer:
         self.world_to_projector = opaque_transform(np.linalg.inv(pose_matrix(rig.projector.pose)))
         self.intensity = opaque(rig.projector.axial_intensity)
         self.width, self.height = rig.camera.width, rig.camera.height
-        self.panel = (rig.projector.width, rig.projector.height)
         self.geometry = geometry(objects)
-        self.samples = self._sampler(samples).sample_count()
-
-    @staticmethod
-    def _sampler(samples: int) -> Any:
-        # Strata form a grid of near-square shape; Mitsuba rounds other counts up to one.
-        columns = int(np.sqrt(samples))
-        rows = -(-samples // columns)
-        return mi.load_dict({"type": "multijitter", "sample_count": columns * rows})
+        # Strata form a grid of near-square shape.
+        half = max(1, -(-samples // 2))
+        self.strata = (-(-half // math.isqrt(half)), math.isqrt(half))
+        self.samples = 2 * self.strata[0] * self.strata[1]
 
     def passes(self) -> list[tuple[int, int]]:
         """Return the pixel ranges of the passes."""
@@ -143,35 +164,44 @@ class _Tracer:
         self,
         first: int,
         last: int,
-        blocks: dict[Marginal, list[SparseRows]],
+        builders: Mapping[Marginal, LineRows | PointRows],
         ambient: NDArray[np.float32],
     ) -> None:
-        """Trace pixels `first` to `last` and append their rows to `blocks`."""
+        """Trace pixels `first` to `last` and add their rows."""
         hits, escaped = self._kernel(first, last)
-        lanes = [array for hit in hits for array in hit]
-        dr.eval(*lanes, *([] if escaped is None else [escaped]))
+        axes = sorted({"uv".index(axis) for name in builders for axis in name})
+        wanted = [[hit.weight, *(part[k] for part in hit[1:] for k in axes)] for hit in hits]
+        dr.eval(*wanted, escaped)
         pixels = last - first
         if escaped is not None:
             ambient[first:last] = escaped.numpy().reshape(pixels, -1).mean(axis=1)
-        for k, name in enumerate(self.marginals):
-            size = self._size(name)
-            dtype = np.uint16 if size <= 1 << 16 else np.uint32
-            columns = np.empty((pixels, len(hits) * self.samples), dtype)
-            weights = np.empty(columns.shape, np.float32)
-            for bounce, (weight, *panel) in enumerate(hits):
-                part = np.s_[:, bounce * self.samples : (bounce + 1) * self.samples]
-                columns[part] = panel[k].numpy().reshape(pixels, -1)
-                weights[part] = weight.numpy().reshape(pixels, -1)
-            blocks[name].append(SparseRows.from_samples(columns, weights, size))
+        weights, *parts = (
+            np.concatenate([self._lanes(array, pixels) for array in arrays], axis=1)
+            for arrays in zip(*wanted, strict=True)
+        )
+        per_axis = {
+            axis: (parts[k], parts[k + len(axes)], parts[k + 2 * len(axes)])
+            for k, axis in enumerate(axes)
+        }
+        share = 1.0 / math.sqrt(self.strata[0] * self.strata[1])
+        samples = SampleBlock(weights, per_axis, share, self.samples)
+        for rows in builders.values():
+            rows.add(samples)
 
-    def _size(self, name: Marginal) -> int:
-        return {"u": self.panel[0], "v": self.panel[1], "uv": self.panel[0] * self.panel[1]}[name]
+    def _lanes(self, array: Any, pixels: int) -> NDArray[np.float32]:
+        """Return what samples hold, (pixels, samples); one value stands for all."""
+        values = array.numpy()
+        if values.size == 1:
+            return np.full((pixels, self.samples), values[0], np.float32)
+        return np.asarray(values).reshape(pixels, self.samples)
 
-    def _kernel(self, first: int, last: int) -> tuple[list[tuple[Any, ...]], Any]:
-        """Return per bounce (weight, panel index per marginal), and radiance from outside."""
+    def _kernel(self, first: int, last: int) -> tuple[list[_Hit], Any]:
+        """Return what each bounce sees of the projector, and radiance from outside."""
         lanes = (last - first) * self.samples
-        sampler = self._sampler(self.samples)
-        sampler.set_samples_per_wavefront(self.samples)
+        half = self.samples // 2
+        sampler = mi.load_dict({"type": "multijitter", "sample_count": half})
+        # Two independent sets of strata a pixel: their difference tells the Monte Carlo error.
+        sampler.set_samples_per_wavefront(half)
         state = derived_seed(self.seed, first)
         sampler.seed(int(state), lanes)
 
@@ -181,7 +211,9 @@ class _Tracer:
         column = pixel - row * dr.opaque(mi.UInt32, self.width)
         position = mi.Point2f(mi.Float(column), mi.Float(row)) + sampler.next_2d() - 0.5
         lens = sampler.next_2d() if self.camera.needs_lens_sample else mi.Point2f(0.5)
-        origin, direction = self.camera.sample_ray(position, lens)
+        origin, direction = camera_ray(
+            self.camera, self.camera_to_world, self.geometry, position, self.camera.disk(lens)
+        )
         ray = mi.RayDifferential3f(
             mi.Ray3f(self.camera_to_world @ origin, self.camera_to_world @ direction)
         )
@@ -190,7 +222,7 @@ class _Tracer:
         active = mi.Bool(True)
         throughput = mi.Float(1.0 / self.samples)
         escaped = mi.Float(0.0) if self.ambient > 0 else None
-        hits: list[tuple[Any, ...]] = []
+        hits: list[_Hit] = []
         for bounce in range(self.bounces + 1):
             si = self.geometry.ray_intersect(ray, active)
             if escaped is not None:
@@ -213,23 +245,24 @@ class _Tracer:
 
     def _direct(
         self, si: Any, bsdf: Any, context: Any, throughput: Any, sampler: Any, active: Any
-    ) -> tuple[Any, ...]:
-        """Next-event estimation: the weight of the projector's light, and where it starts."""
-        lens = sampler.next_2d() if self.projector.needs_lens_sample else mi.Point2f(0.5)
-        pixel, origin, fall_off, valid = self.projector.sample_panel(
-            self.world_to_projector @ si.p, lens
-        )
-        active = active & valid
+    ) -> _Hit:
+        """Next-event estimation: the weight of the projector's light, and its footprint."""
+        lens = mi.Point2f(0.5)
+        if self.projector.aperture is not None:
+            lens = sampler.next_2d()
+        place = self.projector.disk(lens)
+        point = self.world_to_projector @ si.p
+        origin, fall_off, valid = self.projector.source(point, place)
         source = self.projector_to_world @ origin
-        shadow_ray = si.spawn_ray_to(source)
-        value = bsdf.eval(context, si, si.to_local(dr.normalize(source - si.p)), active)
+        value = bsdf.eval(context, si, si.to_local(dr.normalize(source - si.p)), active & valid)
         weight = value.x * throughput * fall_off * self.intensity
-        active &= weight > 0
-        active &= ~self.geometry.ray_test(shadow_ray, active)
-        weight = dr.select(active, weight, 0.0)
-        # Panel pixels are squares around integers.  Rounding can push a lane on the very
-        # edge out of the panel; its weight stays, one pixel in.
-        u = mi.UInt32(dr.clip(dr.floor(pixel.x + 0.5), 0, self.projector.size.x - 1))
-        v = mi.UInt32(dr.clip(dr.floor(pixel.y + 0.5), 0, self.projector.size.y - 1))
-        index = {"u": u, "v": v, "uv": v * dr.opaque(mi.UInt32, self.panel[0]) + u}
-        return weight, *(index[name] for name in self.marginals)
+        active = active & valid & (weight > 0)
+        hidden = self.geometry.ray_test(si.spawn_ray_to(source), active)
+        weight = dr.select(active, dr.select(hidden, -weight, weight), 0.0)
+        chief, along_x, along_y = self.projector.footprint(point)
+        # Strata of the lens are its zones.
+        strata = mi.Vector2f(*(opaque(count) for count in self.strata))
+        zone = self.projector.disk((dr.floor(lens * strata) + 0.5) / strata)
+        shift = along_x * zone.x + along_y * zone.y
+        circles = dr.sqrt(along_x * along_x + along_y * along_y)
+        return _Hit(weight, chief, shift, circles)

@@ -6,6 +6,9 @@ those of ``thinlens_projector`` (render/projector.py) without the picture: ``fov
 ``principal_point_u/v``, ``k1 k2 p1 p2 k3``, ``tilt_x tilt_y``, ``telecentric``; ``to_world`` in
 Mitsuba's convention (x left, y up, z forward); film and sampler as for any sensor.
 
+A spread by diffraction depends on the defocus of what is seen: ``geometry``, a Mitsuba scene of
+the objects, tells the camera how far that is.  Without it everything diffracts as in focus.
+
 As Mitsuba's own sensors it measures scene radiance: the lens's fall-off towards the corners
 belongs to the detector's side (:meth:`slbench.rig.Device.relative_illumination`).
 """
@@ -22,6 +25,36 @@ from slbench.simulate.render.plugins.optics import (
 )
 
 
+def camera_ray(
+    optics: PanelOptics, to_world: Any, geometry: Any, pixel: mi.Point2f, place: mi.Point2f
+) -> tuple[mi.Point3f, mi.Vector3f]:
+    """Return the ray of a pixel position through a place of the lens, its spread included.
+
+    Parameters
+    ----------
+    optics : PanelOptics
+    to_world : transform from device to world coordinates
+    geometry : mi.Scene or None
+        Objects that tell how far from focus the pixel's chief ray ends.
+    pixel : position on the sensor
+    place : on the unit disc, which the pupil fills
+
+    Returns
+    -------
+    origin, direction : in device coordinates
+    """
+    if optics.rings is not None:
+        circle = mi.Float(0.0)
+        if optics.aperture is not None and geometry is not None:
+            origin, direction = optics.ray(pixel, mi.Point2f(0.0))
+            chief = mi.Ray3f(to_world @ origin, to_world @ direction)
+            hit = geometry.ray_intersect_preliminary(chief)
+            point = origin + direction * dr.select(hit.is_valid(), hit.t, 0.0)
+            circle = dr.select(hit.is_valid(), optics.circle(point), 0.0)
+        pixel = pixel + optics.spread_beyond(place, circle)
+    return optics.ray(pixel, place)
+
+
 class SlbenchCamera(mi.Sensor):
     """See the module's text."""
 
@@ -33,12 +66,15 @@ class SlbenchCamera(mi.Sensor):
         self.crop_size = mi.Vector2f(crop_size.x, crop_size.y)
         self.crop_offset = mi.Vector2f(crop_offset.x, crop_offset.y)
         self.to_world = device_to_world(props)
+        self.geometry = props.get("geometry", None)
         self.m_needs_sample_3 = self.optics.needs_lens_sample
 
     def _ray(self, position_sample: mi.Point2f, aperture_sample: mi.Point2f) -> tuple[Any, Any]:
         # Mitsuba's film has pixel corners at integers, we have centres there.
         pixel = mi.Point2f(position_sample * self.crop_size + self.crop_offset - 0.5)
-        origin, direction = self.optics.sample_ray(pixel, aperture_sample)
+        origin, direction = camera_ray(
+            self.optics, self.to_world, self.geometry, pixel, self.optics.disk(aperture_sample)
+        )
         return self.to_world @ origin, self.to_world @ direction
 
     def sample_ray(

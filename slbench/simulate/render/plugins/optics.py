@@ -1,12 +1,14 @@
 """The lens model of :class:`slbench.rig.Device` in Dr.Jit: one model for every use.
 
-The projector emitter, the camera plugin and the light transport tracer all sample the two
-functions here, so they cannot disagree:
+The projector emitter, the camera plugin and the light transport tracer all use the functions
+here, so they cannot disagree:
 
-* :meth:`PanelOptics.sample_ray`: pixel and lens sample -> ray (a camera looks);
-* :meth:`PanelOptics.sample_panel`: surface point and lens sample -> pixel (a projector
-  shines): follow the ray from the point through the lens sample to the plane in focus, from
-  there through the lens centre to the panel.
+* :meth:`PanelOptics.ray`: pixel and place on the lens -> ray (a camera looks);
+* :meth:`PanelOptics.panel`: surface point and place on the lens -> pixel (a projector shines):
+  follow the ray from the point through the lens to the plane in focus, from there through the
+  lens centre to the panel; :meth:`PanelOptics.source` says how strong that light is;
+* :meth:`PanelOptics.spread_beyond`: what diffraction and blur add to a ray's end on the panel;
+* :meth:`PanelOptics.footprint`: all of the panel that lights a point, instead of one ray of it.
 
 Coordinates are the device frame's (x right, y down, z forward), pixels OpenCV's.  All numbers
 are opaque to the compiler, so that another rig reuses the compiled kernel; only *which* terms
@@ -22,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from slbench.rig import Device, Lens
+from slbench.rig.spread import RING_SOFTENING
 from slbench.simulate.render.mitsuba import dr, mi
 
 #: Newton steps of the undistortion: quadratic convergence reaches single precision in fewer
@@ -54,6 +57,11 @@ class PanelOptics:
         self.focus_distance = opaque(lens.focus_distance_mm)
         self.aperture = opaque(lens.defocusing_radius_mm) if lens.defocusing_radius_mm > 0 else None
         self.distortion = [opaque(k) for k in device.distortion] if any(device.distortion) else None
+        self.aspect = opaque(device.pitch_mm[0] / device.pitch_mm[1])
+        self.rings: tuple[Any, int, int, Any] | None = None
+        if device.spread.diffraction_px > 0 or device.spread.blur_px > 0:
+            values, edge = device.spread.rings()
+            self.rings = (mi.Float(values.ravel()), *values.shape, opaque(edge))
         self.tilt = self.untilt = None
         if any(device.tilt_rad):
             homography = device.tilt_homography
@@ -62,8 +70,8 @@ class PanelOptics:
 
     @property
     def needs_lens_sample(self) -> bool:
-        """Whether the aperture is larger than a point."""
-        return self.aperture is not None
+        """Whether the light of a point spreads, by the aperture or by blur."""
+        return self.aperture is not None or self.rings is not None
 
     # -- panel <-> normalised coordinates ----------------------------------------------
 
@@ -116,25 +124,66 @@ class PanelOptics:
             & (pixel.y < self.size.y - 0.5)
         )
 
-    def _disk(self, sample: mi.Point2f) -> mi.Point2f:
+    def disk(self, sample: mi.Point2f) -> mi.Point2f:
+        """Return a point of the unit disc for a sample, uniform in [0, 1)^2."""
+        return mi.warp.square_to_uniform_disk_concentric(sample)
+
+    def _lens(self, place: mi.Point2f) -> mi.Point2f:
+        """Return a point of the pupil for a place on the unit disc, mm."""
+        return mi.Point2f(0.0) if self.aperture is None else place * self.aperture
+
+    def circle(self, point: mi.Point3f) -> mi.Float:
+        """Return the signed radius of the circle of confusion of a point, px along u.
+
+        See :meth:`slbench.rig.Device.circle_of_confusion`, which is twice its magnitude.
+        """
         if self.aperture is None:
-            return mi.Point2f(0.0)
-        return mi.warp.square_to_uniform_disk_concentric(sample) * self.aperture
+            return mi.Float(0.0)
+        depth = self.focus_distance if self.telecentric else point.z
+        return self.aperture * self.focal.x * (1.0 - dr.dot(self.focus, point)) / depth
+
+    def spread_beyond(self, place: mi.Point2f, circle: mi.Float) -> mi.Vector2f:
+        """Return how far diffraction and blur move a ray's end on the panel, px.
+
+        A ray through a place of the unit disc carries the share of the light within it.  With
+        defocus alone it ends at that place of the circle of confusion; with diffraction and blur
+        where the spread holds that share (:meth:`slbench.rig.spread.Spread.rings`).  The
+        difference, so that ends have the spread's density whatever the depth.
+
+        Parameters
+        ----------
+        place : on the unit disc
+        circle : signed radius of the circle of confusion, px along u
+        """
+        if self.rings is None:
+            return mi.Vector2f(0.0)
+        values, rows, places, edge = self.rings
+        radius = dr.abs(circle)
+        reach = radius + edge
+        rank2 = dr.minimum(dr.squared_norm(place), 1.0)
+        rank = dr.sqrt(rank2)
+        row = mi.UInt32(radius / reach * (rows - 1) + 0.5)
+        at = rank * (places - 1)
+        left = dr.minimum(mi.UInt32(at), places - 2)
+        index = row * places + left
+        low, high = dr.gather(mi.Float, values, index), dr.gather(mi.Float, values, index + 1)
+        ring = dr.lerp(low, high, at - mi.Float(left)) * reach / (1.0 - rank2 + RING_SOFTENING)
+        step = (ring - radius * rank) / dr.maximum(rank, 1e-6)
+        step = dr.select(circle < 0, -step, step)
+        return mi.Vector2f(step * place.x, step * place.y * self.aspect)
 
     # -- the two directions --------------------------------------------------------------
 
-    def sample_ray(
-        self, pixel: mi.Point2f, lens_sample: mi.Point2f
-    ) -> tuple[mi.Point3f, mi.Vector3f]:
+    def ray(self, pixel: mi.Point2f, place: mi.Point2f) -> tuple[mi.Point3f, mi.Vector3f]:
         """Return origin and unit direction of the ray that a pixel position looks along.
 
         Parameters
         ----------
         pixel : position on the panel (u, v)
-        lens_sample : uniform in [0, 1)^2
+        place : on the unit disc, which the pupil fills
         """
         xy = self._from_pixel(pixel)
-        disk = self._disk(lens_sample)
+        disk = self._lens(place)
         n = self.focus
         if self.telecentric:
             chief = mi.Point2f(xy * self.focus_distance)
@@ -149,24 +198,15 @@ class PanelOptics:
             direction -= mi.Vector3f(origin) * dr.dot(n, direction)
         return origin, dr.normalize(direction)
 
-    def sample_panel(
-        self, point: mi.Point3f, lens_sample: mi.Point2f
-    ) -> tuple[mi.Point2f, mi.Point3f, mi.Float, mi.Bool]:
-        """Return the panel position that lights a point through a sample of the lens.
+    def panel(self, point: mi.Point3f, place: mi.Point2f) -> mi.Point2f:
+        """Return the panel position that lights a point through a place of the lens.
 
         Parameters
         ----------
         point : surface point in the device frame
-        lens_sample : uniform in [0, 1)^2
-
-        Returns
-        -------
-        pixel : position on the panel
-        origin : point on the lens (device frame) the light comes from
-        falloff : irradiance on a surface that faces the light, for unit axial intensity
-        valid : whether the point is in front of the lens and the position on the panel
+        place : on the unit disc, which the pupil fills
         """
-        disk = self._disk(lens_sample)
+        disk = self._lens(place)
         n = self.focus
         if self.telecentric:
             cone = mi.Vector3f(disk.x / self.focus_distance, disk.y / self.focus_distance, 1.0)
@@ -175,30 +215,66 @@ class PanelOptics:
                 (point.x + step * cone.x) / self.focus_distance,
                 (point.y + step * cone.y) / self.focus_distance,
             )
-            origin = mi.Point3f(point - point.z * cone)
-            valid = point.z > 0
-            # Parallel light: as strong everywhere as it is in focus on the axis.
-            falloff = dr.norm(cone) / dr.square(self.focus_distance)
+            return self._to_pixel(xy)
+        toward = mi.Vector3f(point.x - disk.x, point.y - disk.y, point.z)
+        if self.aperture is None:
+            focused = toward
         else:
-            origin = mi.Point3f(disk.x, disk.y, 0.0)
-            toward = mi.Vector3f(point - origin)
-            if self.aperture is None:
-                focused = toward
-            else:
-                # The point in focus, scaled by n . toward: see sample_ray.
-                gap = 1.0 - n.x * origin.x - n.y * origin.y
-                focused = mi.Vector3f(origin) * dr.dot(n, toward) + toward * gap
-            xy = mi.Point2f(focused.x / focused.z, focused.y / focused.z)
-            valid = (point.z > 0) & (focused.z > 0)
-            distance2 = dr.squared_norm(toward)
-            cosine = toward.z * dr.rsqrt(distance2)
-            if self.device.lens.natural_vignetting:
-                falloff = cosine / distance2
-            else:
-                # Uniform irradiance on planes that face the projector, as Mitsuba's own.
-                falloff = dr.rcp(dr.square(toward.z) * cosine)
-        pixel = self._to_pixel(xy)
-        return pixel, origin, falloff, valid & self.inside(pixel)
+            # The point in focus, scaled by n . toward: see `ray`.
+            gap = 1.0 - n.x * disk.x - n.y * disk.y
+            focused = mi.Vector3f(disk.x, disk.y, 0.0) * dr.dot(n, toward) + toward * gap
+        xy = mi.Point2f(focused.x / focused.z, focused.y / focused.z)
+        return self._to_pixel(xy)
+
+    def source(self, point: mi.Point3f, place: mi.Point2f) -> tuple[mi.Point3f, mi.Float, mi.Bool]:
+        """Return where on the lens the light of a point comes from, and how strong it is.
+
+        Parameters
+        ----------
+        point : surface point in the device frame
+        place : on the unit disc, which the pupil fills
+
+        Returns
+        -------
+        origin : point on the lens (device frame) the light comes from
+        falloff : irradiance on a surface that faces the light, for unit axial intensity
+        valid : whether the point is in front of the lens
+        """
+        disk = self._lens(place)
+        if self.telecentric:
+            cone = mi.Vector3f(disk.x / self.focus_distance, disk.y / self.focus_distance, 1.0)
+            origin = mi.Point3f(point - point.z * cone)
+            # Parallel light: as strong everywhere as it is in focus on the axis.
+            return origin, dr.norm(cone) / dr.square(self.focus_distance), point.z > 0
+        origin = mi.Point3f(disk.x, disk.y, 0.0)
+        toward = mi.Vector3f(point - origin)
+        distance2 = dr.squared_norm(toward)
+        cosine = toward.z * dr.rsqrt(distance2)
+        if self.device.lens.natural_vignetting:
+            falloff = cosine / distance2
+        else:
+            # Uniform irradiance on planes that face the projector, as Mitsuba's own.
+            falloff = dr.rcp(dr.square(toward.z) * cosine)
+        return origin, falloff, point.z > 0
+
+    def footprint(self, point: mi.Point3f) -> tuple[mi.Point2f, mi.Vector2f, mi.Vector2f]:
+        """Return what lights a point: panel position of the chief ray, and the disc around it.
+
+        Returns
+        -------
+        chief : panel position through the middle of the lens
+        along_x, along_y : panel vectors from there to positions through the disc's rim at (1, 0)
+            and (0, 1); small discs are ellipses that these two span
+        """
+        chief = self.panel(point, mi.Point2f(0.0))
+        if self.aperture is None:
+            return chief, mi.Vector2f(0.0), mi.Vector2f(0.0)
+        if self.distortion is None and self.tilt is None:
+            circle = self.circle(point)
+            return chief, mi.Vector2f(circle, 0.0), mi.Vector2f(0.0, circle * self.aspect)
+        right = self.panel(point, mi.Point2f(1.0, 0.0))
+        down = self.panel(point, mi.Point2f(0.0, 1.0))
+        return chief, mi.Vector2f(right - chief), mi.Vector2f(down - chief)
 
 
 def _homography(xy: mi.Point2f, h: Sequence[Any]) -> mi.Point2f:
@@ -264,6 +340,8 @@ def device_from_properties(props: mi.Properties, size: Sequence[int]) -> Device:
         focus,
         kind,  # type: ignore[arg-type]  # one of the two by construction
         bool(props.get("natural_vignetting", True)),
+        float(props.get("diffraction_wavelength", 0.0)),
+        bool(props.get("all_in_focus", False)),
     )
     return Device(
         width=width,
@@ -276,6 +354,7 @@ def device_from_properties(props: mi.Properties, size: Sequence[int]) -> Device:
         ),
         distortion=(number["k1"], number["k2"], number["p1"], number["p2"], number["k3"]),
         tilt_rad=(float(props.get("tilt_x", 0.0)), float(props.get("tilt_y", 0.0))),
+        blur_px=float(props.get("blur", 0.0)),
     )
 
 
@@ -291,6 +370,9 @@ def properties_from_device(device: Device) -> dict[str, Any]:
         "aperture_radius": lens.aperture_radius_mm,
         "natural_vignetting": lens.natural_vignetting,
         "telecentric": lens.kind == "telecentric",
+        "all_in_focus": lens.all_in_focus,
+        "diffraction_wavelength": lens.wavelength_nm,
+        "blur": device.blur_px,
         "tilt_x": device.tilt_rad[0],
         "tilt_y": device.tilt_rad[1],
     }

@@ -16,7 +16,8 @@ and works in any Mitsuba scene and under any stock integrator::
 
 Further parameters: ``pixel_pitch_y``, ``principal_point_u``, ``principal_point_v`` (pixels,
 OpenCV convention), ``k1 k2 p1 p2 k3``, ``tilt_x tilt_y`` (rad), ``telecentric``,
-``natural_vignetting`` (cos^4; default true).
+``natural_vignetting`` (cos^4; default true), ``diffraction_wavelength`` (nm with millimetres as
+scene units; 0: geometric optics), ``blur`` (standard deviation, pixels), ``all_in_focus``.
 
 **Radiometry.**  The lens is small: seen from a surface point it is one direction, and each
 sample of its area carries the radiance of one panel position.  With natural vignetting a
@@ -65,10 +66,12 @@ class ThinLensProjector(mi.Emitter):
         self, it: mi.Interaction3f, sample: mi.Point2f, active: Any = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
         """Sample the lens and look the picture up where the light comes from."""
-        pixel, origin, falloff, valid = self.optics.sample_panel(
-            self.to_world.inverse() @ it.p, sample
-        )
-        active &= valid
+        point = self.to_world.inverse() @ it.p
+        place = self.optics.disk(sample)
+        origin, falloff, valid = self.optics.source(point, place)
+        pixel = self.optics.panel(point, place)
+        pixel += self.optics.spread_beyond(place, self.optics.circle(point))
+        active &= valid & self.optics.inside(pixel)
         ds = dr.zeros(mi.DirectionSample3f)
         ds.p = self.to_world @ origin
         ds.n = self.to_world @ mi.Vector3f(0, 0, 1)
@@ -122,7 +125,7 @@ class ThinLensProjector(mi.Emitter):
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
         """Emit a ray (for particle tracers): panel position uniform, lens uniform."""
         pixel = mi.Point2f(direction_sample * self.optics.size - 0.5)
-        origin, direction = self.optics.sample_ray(pixel, spatial_sample)
+        origin, direction = self.optics.ray(pixel, self.optics.disk(spatial_sample))
         si = dr.zeros(mi.SurfaceInteraction3f)
         si.uv = mi.Point2f(direction_sample)
         wavelengths, weight = self.sample_wavelengths(si, wavelength_sample, active)
