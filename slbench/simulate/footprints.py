@@ -196,10 +196,24 @@ def _in_bands(*given: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
+def light(line, place):  # type: ignore[no-untyped-def]
+    """Return the light between the middle of a line spread and a place, signed.
+
+    `line` is a row of :meth:`~slbench.rig.spread.Spread.lines`, whose end is at a place of 1.
+    """
+    at = abs(place) * (line.size - 1)
+    if at >= line.size - 1:
+        part = 0.5
+    else:
+        k = int(at)
+        part = line[k] + (at - k) * (line[k + 1] - line[k])
+    return part if place >= 0 else -part
+
+
+@njit(cache=True, nogil=True)
 def _blur(first, spacing, line, reach, panels, out, begin, end):  # type: ignore[no-untyped-def]
     """Integrate the line spread at nodes begin to end over the panel's pixels."""
     size, n = panels.shape
-    places = line.size - 1
     for k in range(begin, end):
         x = first + k * spacing
         for i in range(n):
@@ -208,17 +222,9 @@ def _blur(first, spacing, line, reach, panels, out, begin, end):  # type: ignore
         high = min(int(np.floor(x + reach + 0.5)), size - 1)
         before = 0.0
         for j in range(low - 1, high + 1):
-            # Light between the middle and the upper edge of pixel j, signed.
-            q = (j + 0.5 - x) / reach * places
-            a = abs(q)
-            if a >= places:
-                light = 0.5
-            else:
-                m = int(a)
-                light = line[m] + (a - m) * (line[m + 1] - line[m])
-            light = light if q >= 0 else -light
+            until = light(line, (j + 0.5 - x) / reach)
             if j >= low:
-                weight = np.float32(light - before)
+                weight = np.float32(until - before)
                 for i in range(n):
                     out[k, i] += weight * panels[j, i]
-            before = light
+            before = until

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from slbench.core.threads import in_bands
 from slbench.rig.spread import RING_SOFTENING, Spread
-from slbench.simulate.footprints import STEP, BlurredPanel, Levels
+from slbench.simulate.footprints import STEP, BlurredPanel, Levels, light
 
 if TYPE_CHECKING:
     import scipy.sparse
@@ -145,24 +145,33 @@ def row_starts(counts: NDArray[np.integer]) -> NDArray[np.signedinteger]:
 
 
 class LineRows:
-    """Rows along one panel axis, block by block: columns are nodes of blurred panels."""
+    """Rows along one panel axis, block by block: columns are nodes of blurred panels.
 
-    def __init__(self, levels: Levels, axis: int) -> None:
-        self.levels, self.axis = levels, axis
+    Parameters
+    ----------
+    levels, across : Levels
+        Along the axis, and along the other one, where the panel ends too.
+    axis : {0, 1}
+    """
+
+    def __init__(self, levels: Levels, across: Levels, axis: int) -> None:
+        self.levels, self.across, self.axis = levels, across, axis
         self.blocks: list[tuple[SparseRows, int]] = []
 
     def add(self, given: SampleBlock) -> None:
         """Add the rows of a block of pixels."""
-        places, shifts, circles = given.axes[self.axis]
+        own, other = given.axes[self.axis], given.axes[1 - self.axis]
+        circles = own[2]
         largest = float(circles.max(initial=0.0))
         count = self.levels.count(largest)
         grids = self.levels.grids(count)
         stride = int(grids.nodes.max())
+        ends = (*self.across.spread.lines(), self.across.size)
         kept = (grids.first, grids.spacing, grids.nodes, grids.sharp, self.levels.scale, stride)
 
         def merge(first: int, last: int, out: _Block) -> None:
-            lanes = (given.weights, places, shifts, circles, given.share, given.bounce)
-            _merge_lines(*lanes, *kept, *out, first, last)
+            lanes = (given.weights, *own, *other, given.share, given.bounce)
+            _merge_lines(*lanes, *ends, *kept, *out, first, last)
 
         block = _merged(merge, given.weights.shape, 3, count * stride)
         self.blocks.append((block, stride))
@@ -308,7 +317,8 @@ def _whole(weights):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _merge_lines(  # type: ignore[no-untyped-def]
-    weights, places, shifts, circles, share, bounce, origin, spacing, nodes, sharp, scale, stride,
+    weights, places, shifts, circles, across, shifts_across, circles_across, share, bounce,
+    lines, edge, size, origin, spacing, nodes, sharp, scale, stride,
     keys, sums, differences, counts, start, width, first, last,
 ):  # fmt: skip
     """Add footprints along an axis up: a quadratic between three nodes of a level."""
@@ -324,8 +334,20 @@ def _merge_lines(  # type: ignore[no-untyped-def]
             if weight <= 0.0:
                 continue
             circle, place = circles[p, s], places[p, s]
+            circle_across, place_across = circles_across[p, s], across[p, s]
             if not whole:
                 circle, place = circle * share, place + shifts[p, s]
+                circle_across *= share
+                place_across += shifts_across[p, s]
+            reach = circle_across + edge
+            if place_across - reach < -0.5 or place_across + reach > size - 0.5:
+                # The panel ends here: of a disc along one axis only so much lies on it.
+                line = lines[int(circle_across / reach * (lines.shape[0] - 1) + 0.5)]
+                inside = light(line, (size - 0.5 - place_across) / reach)
+                inside -= light(line, (-0.5 - place_across) / reach)
+                weight *= np.float32(inside)
+                if weight <= 0.0:
+                    continue
             level = int(np.arcsinh(circle / scale) / STEP + 0.5)
             at = (place - origin[level]) / spacing[level]
             middle = int(np.floor(at + 0.5))

@@ -14,11 +14,13 @@ from stages import trace
 from slbench import objects
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
+from slbench.rig.spread import Spread
 from slbench.scene.model import Scene, SceneObject
+from slbench.simulate.footprints import Levels
 from slbench.simulate.render import current
 from slbench.simulate.render.mitsuba import mi
 from slbench.simulate.render.translate import mitsuba_dict
-from slbench.simulate.transport import SparseRows
+from slbench.simulate.rows import LineRows, SampleBlock
 
 pytestmark = pytest.mark.slow  # some 10 s
 
@@ -109,13 +111,19 @@ def test_merging_the_samples_is_the_smaller_part(benchmark, render):
     """Compression to sparse rows: a fifth of a render is its budget."""
     rng = np.random.default_rng(0)
     pixels = 640 * 480
-    base = rng.integers(0, 600, (pixels, 1)).astype(np.uint16)
-    columns = base + rng.integers(0, 6, (pixels, SAMPLES)).astype(np.uint16)
-    weights = rng.random((pixels, SAMPLES), dtype=np.float32)
+    shape = (pixels, SAMPLES)
+    base = rng.uniform(0.0, 600.0, (pixels, 1))
+    places = (base + rng.uniform(0.0, 6.0, shape)).astype(np.float32)
+    weights = rng.random(shape, dtype=np.float32)
+    level = np.full(shape, 0.5, np.float32)
+    middle, none = np.full(shape, 240.0, np.float32), np.zeros(shape, np.float32)
+    axes = {0: (places, none, level), 1: (middle, none, level)}
+    block = SampleBlock(weights, axes, 0.2, SAMPLES)
 
     def merge():
-        # It overwrites its input; the copies are part of the time.
-        SparseRows.from_samples(columns.copy(), weights.copy(), 640)
+        rows = LineRows(Levels(Spread(0.0, 1.0), 640), Levels(Spread(0.0, 1.0), 480), 0)
+        rows.add(block)
+        rows.result()
 
     benchmark.pedantic(merge, rounds=RUNS, warmup_rounds=1)
     merging, one_render = compare(merge, render, 1.0)

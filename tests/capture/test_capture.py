@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import tomli_w
+from sparse_samples import sparse_rows
 from stages import capture, noise_free_coordinates, shutter_for
 
 from slbench import objects
@@ -24,7 +25,7 @@ from slbench.rig import Camera, Lens, Pair, Pose, Projector, Rig
 from slbench.rig.opencv import write_rig
 from slbench.scene.model import Exposure, Scene, SceneObject
 from slbench.simulate.expose import _vibrate
-from slbench.simulate.transport import LightTransport, SparseRows
+from slbench.simulate.transport import LightTransport
 
 SHAPE = (48, 64)  # camera rows, columns
 PANEL = (256, 192)
@@ -80,9 +81,7 @@ def transport(brightness=1.0, ambient=0.0):
         columns = first + np.arange(30)
         weights = np.exp(-0.5 * ((columns - centre) / WINDOW) ** 2)
         weights *= scale / weights.sum(axis=1, keepdims=True)
-        marginals[axis] = SparseRows.from_samples(
-            columns.astype(np.uint16), weights.astype(np.float32), size
-        )
+        marginals[axis] = sparse_rows(columns.astype(np.uint16), weights.astype(np.float32), size)
     return LightTransport(marginals, np.full(SHAPE, ambient, np.float32), PANEL, 30)
 
 

@@ -7,20 +7,14 @@ import pytest
 import scipy.sparse
 from hypothesis import given
 from hypothesis import strategies as st
+from sparse_samples import sparse_rows
 
 from slbench.core.errors import InputError
-from slbench.simulate.transport import LightTransport, SparseRows
+from slbench.simulate.rows import SparseRows
+from slbench.simulate.transport import LightTransport
 
 #: float32 has 24 bits; sums of up to 100 terms of one sign in any order.
 RTOL = 100 * 2.0**-24
-
-
-def by_scipy(columns, weights, width):
-    """Merge with SciPy, in double precision."""
-    rows = np.repeat(np.arange(columns.shape[0]), columns.shape[1])
-    keep = weights.ravel() > 0
-    entries = (weights.ravel()[keep].astype(np.float64), (rows[keep], columns.ravel()[keep]))
-    return scipy.sparse.coo_array(entries, shape=(columns.shape[0], width)).tocsr()
 
 
 def samples(rows, per_row, width, dtype, seed, zeros=0.2, spread=None):
@@ -34,89 +28,19 @@ def samples(rows, per_row, width, dtype, seed, zeros=0.2, spread=None):
     return columns, weights
 
 
-def assert_merged(columns, weights, width):
-    """Check SparseRows.from_samples against SciPy: structure exactly, values to rounding."""
-    expected = by_scipy(columns, weights, width)
-    merged = SparseRows.from_samples(columns.copy(), weights.copy(), width)
-    assert merged.indices.dtype == columns.dtype
-    assert merged.data.dtype == np.float32
-    assert merged.indptr.dtype == np.int32
-    np.testing.assert_array_equal(merged.indptr, expected.indptr)
-    np.testing.assert_array_equal(merged.indices, expected.indices)
-    np.testing.assert_allclose(merged.data, expected.data, rtol=RTOL)
-    return merged
-
-
-class TestMerge:
-    @pytest.mark.parametrize("dtype", [np.uint16, np.uint32])
-    @pytest.mark.parametrize(
-        ("per_row", "width", "spread"),
-        [
-            (16, 640, 4),  # the usual case: many samples, few columns
-            (64, 640, 640),  # more than 32 different columns in a row
-            (100, 40, 33),
-            (1, 5, 5),
-            (7, 1, 1),  # one column
-        ],
-    )
-    def test_agrees_with_scipy(self, per_row, width, spread, dtype):
-        columns, weights = samples(257, per_row, width, dtype, seed=per_row, spread=spread)
-        merged = assert_merged(columns, weights, width)
-        if spread == 640:
-            assert np.diff(merged.indptr).max() > 32
-
-    def test_columns_beyond_16_bits(self):
-        columns, weights = samples(50, 20, 3_000_000, np.uint32, seed=1)
-        assert columns.max() > 1 << 16
-        assert_merged(columns, weights, 3_000_000)
-
-    def test_the_last_column_of_16_bits(self):
-        columns = np.array([[65535, 0, 65535]], np.uint16)
-        weights = np.array([[1.0, 2.0, 3.0]], np.float32)
-        merged = SparseRows.from_samples(columns, weights, 1 << 16)
-        assert merged.indices.tolist() == [0, 65535]
-        assert merged.data.tolist() == [2.0, 4.0]
-
-    def test_rows_of_zero_weight_are_empty(self):
-        columns, weights = samples(20, 8, 30, np.uint16, seed=2)
-        weights[::2] = 0.0
-        # What a missed sample leaves as its column means nothing.
-        columns[weights == 0.0] = 65535
-        merged = SparseRows.from_samples(columns, weights, 30)
-        counts = np.diff(merged.indptr)
-        assert np.all(counts[::2] == 0)
-        assert np.all(counts[1::2] > 0)
-        assert merged.indices.max() < 30
-
-    def test_nothing_at_all(self):
-        merged = SparseRows.from_samples(
-            np.zeros((4, 3), np.uint16), np.zeros((4, 3), np.float32), 10
-        )
-        assert merged.indptr.tolist() == [0] * 5
-        assert merged.tocsr().shape == (4, 10)
-
-    @given(
-        rows=st.integers(1, 40),
-        per_row=st.integers(1, 80),
-        width=st.integers(1, 200),
-        zeros=st.floats(0.0, 1.0),
-        seed=st.integers(0, 1000),
-    )
-    def test_any_samples(self, rows, per_row, width, zeros, seed):
-        assert_merged(*samples(rows, per_row, width, np.uint16, seed, zeros), width)
-
-    def test_concatenate_and_scale(self):
-        blocks = [
-            SparseRows.from_samples(*samples(n, 9, 60, np.uint16, seed=n), 60) for n in (5, 1, 30)
-        ]
-        stacked = scipy.sparse.vstack([block.tocsr() for block in blocks]).toarray()
-        whole = SparseRows.concatenate(blocks)
-        assert blocks == []  # given up on the way
-        np.testing.assert_array_equal(whole.tocsr().toarray(), stacked)
-        factors = np.linspace(0.5, 2.0, 36)
-        np.testing.assert_allclose(
-            whole.scaled(factors).tocsr().toarray(), stacked * factors[:, None], rtol=RTOL
-        )
+def test_concatenate_and_scale():
+    blocks = [
+        replace(rows, differences=0.1 * rows.data)
+        for rows in (sparse_rows(*samples(n, 9, 60, np.uint16, seed=n), 60) for n in (5, 1, 30))
+    ]
+    stacked = scipy.sparse.vstack([block.tocsr() for block in blocks]).toarray()
+    whole = SparseRows.concatenate(blocks)
+    assert blocks == []  # given up on the way
+    np.testing.assert_array_equal(whole.tocsr().toarray(), stacked)
+    factors = np.linspace(0.5, 2.0, 36)
+    scaled = whole.scaled(factors)
+    np.testing.assert_allclose(scaled.tocsr().toarray(), stacked * factors[:, None], rtol=RTOL)
+    np.testing.assert_allclose(scaled.differences, 0.1 * scaled.data, rtol=RTOL)
 
 
 V, U, PANEL = 13, 21, (24, 10)
@@ -130,7 +54,7 @@ def transport():
     v = rng.integers(0, PANEL[1], (V * U, 40))
     weights = rng.random((V * U, 40)).astype(np.float32) * (rng.random((V * U, 1)) > 0.2)
     marginals = {
-        name: SparseRows.from_samples(columns.astype(dtype), weights.astype(np.float32), width)
+        name: sparse_rows(columns.astype(dtype), weights.astype(np.float32), width)
         for name, columns, dtype, width in (
             ("u", u, np.uint16, PANEL[0]),
             ("v", v, np.uint16, PANEL[1]),
@@ -194,7 +118,7 @@ class TestProducts:
     @given(seed=st.integers(0, 1000))
     def test_the_view_from_the_projector_is_the_adjoint(self, seed):
         rng = np.random.default_rng(seed)
-        rows = SparseRows.from_samples(*samples(V * U, 12, 240, np.uint16, seed), 240)
+        rows = sparse_rows(*samples(V * U, 12, 240, np.uint16, seed), 240)
         value = LightTransport({"uv": rows}, np.zeros((V, U), np.float32), PANEL, 12)
         panel, image = rng.random((PANEL[1], PANEL[0])), rng.random((V, U))
         back = value.view_from_projector(image)
@@ -254,7 +178,7 @@ class TestFile:
 
     def test_row_starts_are_as_wide_as_the_entries_need(self, transport, monkeypatch, tmp_path):
         most = transport.marginals["u"].indices.size - 1
-        monkeypatch.setattr("slbench.simulate.transport._MOST_INT32", most)
+        monkeypatch.setattr("slbench.simulate.rows._MOST_INT32", most)
         transport.save(tmp_path / "transport.npz")
         back = LightTransport.load(tmp_path / "transport.npz")
         one, two = transport.marginals["u"], back.marginals["u"]

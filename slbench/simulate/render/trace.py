@@ -112,10 +112,10 @@ def _rows(projector: Projector, name: Marginal) -> LineRows | PointRows:
     aspect = projector.pitch_mm[0] / projector.pitch_mm[1]
     if name == "uv":
         return PointRows(spread, (width, height), aspect)
-    if name == "u":
-        return LineRows(Levels(spread, width), axis=0)
     along_v = Spread(spread.diffraction_px * aspect, spread.blur_px * aspect)
-    return LineRows(Levels(along_v, height), axis=1)
+    axes = (Levels(spread, width), Levels(along_v, height))
+    axis = "uv".index(name)
+    return LineRows(axes[axis], axes[1 - axis], axis)
 
 
 class _Hit(NamedTuple):
@@ -169,8 +169,7 @@ class _Tracer:
     ) -> None:
         """Trace pixels `first` to `last` and add their rows."""
         hits, escaped = self._kernel(first, last)
-        axes = sorted({"uv".index(axis) for name in builders for axis in name})
-        wanted = [[hit.weight, *(part[k] for part in hit[1:] for k in axes)] for hit in hits]
+        wanted = [[hit.weight, *(part[k] for part in hit[1:] for k in range(2))] for hit in hits]
         dr.eval(*wanted, escaped)
         pixels = last - first
         if escaped is not None:
@@ -179,12 +178,9 @@ class _Tracer:
             np.concatenate([self._lanes(array, pixels) for array in arrays], axis=1)
             for arrays in zip(*wanted, strict=True)
         )
-        per_axis = {
-            axis: (parts[k], parts[k + len(axes)], parts[k + 2 * len(axes)])
-            for k, axis in enumerate(axes)
-        }
+        axes = {k: (parts[k], parts[k + 2], parts[k + 4]) for k in range(2)}
         share = 1.0 / math.sqrt(self.strata[0] * self.strata[1])
-        samples = SampleBlock(weights, per_axis, share, self.samples)
+        samples = SampleBlock(weights, axes, share, self.samples)
         for rows in builders.values():
             rows.add(samples)
 

@@ -137,21 +137,23 @@ def beyond_stock(device: Device) -> list[str]:
     """List what a device has that Mitsuba's stock plugins cannot express."""
     projector = hasattr(device, "flux_w")
     centre = ((device.width - 1) / 2.0, (device.height - 1) / 2.0)
-    blurred = device.lens.aperture_radius_mm > 0
+    spread = device.spread
     findings = {
         "lens distortion": any(device.distortion),
         "sensor tilt": any(device.tilt_rad),
         "a telecentric lens": device.lens.kind == "telecentric",
         "pixels that are not square": device.pitch_mm[0] != device.pitch_mm[1],
         "a principal point off centre": device.centre != centre,
-        "an aperture": projector and blurred,
+        "an aperture": projector and device.lens.defocusing_radius_mm > 0,
+        "diffraction": spread.diffraction_px > 0,
+        "blur": spread.blur_px > 0,
         "natural vignetting": projector and device.lens.natural_vignetting,
     }
     return [name for name, present in findings.items() if present]
 
 
-def camera_dict(camera: Camera, samples: int) -> dict[str, Any]:
-    """Return a camera as a Mitsuba sensor."""
+def camera_dict(camera: Camera, samples: int, seen: Any = None) -> dict[str, Any]:
+    """Return a camera as a Mitsuba sensor; `seen` is the :func:`geometry` that it looks at."""
     sensor: dict[str, Any] = {
         "to_world": _to_world(camera.pose),
         "film": {
@@ -165,9 +167,11 @@ def camera_dict(camera: Camera, samples: int) -> dict[str, Any]:
         "sampler": {"type": "independent", "sample_count": samples},
     }
     if beyond_stock(camera):
+        if seen is not None and camera.spread.diffraction_px > 0:
+            sensor["geometry"] = seen
         return {"type": "slbench_camera", **properties_from_device(camera), **sensor}
     sensor |= {"fov": _fov_deg(camera), "near_clip": 0.1, "far_clip": 1e5}
-    if camera.lens.aperture_radius_mm == 0:
+    if camera.lens.defocusing_radius_mm == 0:
         return {"type": "perspective", **sensor}
     return {
         "type": "thinlens",
@@ -233,7 +237,7 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
     result: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 2 + scene.light.bounces, "rr_depth": 1000},
-        "camera": camera_dict(scene.rig.camera, samples or scene.samples),
+        "camera": camera_dict(scene.rig.camera, samples or scene.samples, geometry(scene.objects)),
         "projector": projector_dict(scene.rig.projector, picture),
     }
     result |= {shape.name: shape.mesh() for shape in shapes(scene.objects)}

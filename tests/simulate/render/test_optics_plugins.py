@@ -67,9 +67,8 @@ class TestPanelOptics:
     def test_chief_rays_are_the_rigs(self, name):
         device = DEVICES[name]
         pixels = uniform(1, N, 2) * [device.width, device.height] - 0.5
-        # The middle of the lens sample is the lens's centre.
-        origin, direction = PanelOptics(device).sample_ray(
-            as_point(pixels.astype(np.float32)), mi.Point2f(0.5)
+        origin, direction = PanelOptics(device).ray(
+            as_point(pixels.astype(np.float32)), mi.Point2f(0.0)
         )
         origins, directions = device.unproject(pixels)
         # Single precision: eps of 1e-7 in coordinates of order one (mm: of order 100).
@@ -82,9 +81,9 @@ class TestPanelOptics:
     def test_points_see_the_pixel_the_rig_projects_to(self, name):
         device = DEVICES[name]
         points = uniform(2, N, 3) * [120.0, 100.0, 200.0] + [-60.0, -50.0, 350.0]
-        pixel, _, _, valid = PanelOptics(device).sample_panel(
-            as_point(points.astype(np.float32)), mi.Point2f(0.5)
-        )
+        optics = PanelOptics(device)
+        pixel = optics.panel(as_point(points.astype(np.float32)), mi.Point2f(0.0))
+        valid = optics.inside(pixel)
         expected = device.project(points)
         inside = device.contains(expected)
         # On the very edge single and double precision may differ.
@@ -99,15 +98,15 @@ class TestPanelOptics:
         device = DEVICES[name]
         optics = PanelOptics(device)
         pixels = uniform(3, N, 2) * [device.width, device.height] - 0.5
-        lens = uniform(4, N, 2)
-        origin, direction = optics.sample_ray(as_point(pixels.astype(np.float32)), as_point(lens))
+        place = optics.disk(as_point(uniform(4, N, 2)))
+        origin, direction = optics.ray(as_point(pixels.astype(np.float32)), place)
         distance = mi.Float(300.0 + 300.0 * uniform(5, N))
         point = origin + direction * distance
         if device.lens.kind == "telecentric":
-            # The sample is a direction here, and light runs against the camera's ray.
-            reached, _, _, _ = optics.sample_panel(point, as_point(1.0 - lens))
+            # The place is a direction here, and light runs against the camera's ray.
+            reached = optics.panel(point, -place)
         else:
-            reached, lens_point, _, _ = optics.sample_panel(point, as_point(lens))
+            reached, (lens_point, _, _) = optics.panel(point, place), optics.source(point, place)
             np.testing.assert_allclose(columns(lens_point), columns(origin), atol=1e-5)
         # Single precision through the plane in focus and back.
         np.testing.assert_allclose(columns(reached), pixels, atol=2e-3)
@@ -119,7 +118,7 @@ class TestPanelOptics:
         pixels = uniform(6, N, 2) * [device.width, device.height] - 0.5
         meeting = []
         for lens in (uniform(7, N, 2), uniform(8, N, 2), np.full((N, 2), 0.5, np.float32)):
-            o, d = optics.sample_ray(as_point(pixels.astype(np.float32)), as_point(lens))
+            o, d = optics.ray(as_point(pixels.astype(np.float32)), optics.disk(as_point(lens)))
             o, d = columns(o), columns(d)
             n = device.focus_plane
             meeting.append(o + d * ((1.0 - o @ n) / (d @ n))[:, None])
