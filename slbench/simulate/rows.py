@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from slbench.core.threads import in_bands
 from slbench.rig.spread import RING_SOFTENING, Spread
-from slbench.simulate.footprints import STEP, BlurredPanel, Levels, light
+from slbench.simulate.footprints import SHARP, STEP, BlurredPanel, Levels, light
 
 if TYPE_CHECKING:
     import scipy.sparse
@@ -30,8 +30,9 @@ _INSERTED = 32
 _MOST_INT32 = np.iinfo(np.int32).max
 #: Entries of the temporaries that samples are merged in: 25 MB.
 _TEMPORARY = 1 << 21
-#: Points that stand for a footprint in two dimensions, on a spiral of equal shares.
-_POINTS = 32
+#: Points that stand for a footprint in two dimensions, on a spiral of equal shares: two a panel
+#: pixel of its area, within limits.
+_LEAST_POINTS, _MOST_POINTS = 16, 512
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
 
@@ -213,11 +214,11 @@ class PointRows:
         """Add the rows of a block of pixels."""
         (u, shift_u, circles), (v, shift_v, _) = given.axes[0], given.axes[1]
         rings = self.spread.rings()
-        blurred = self.spread.diffraction_px > 0 or self.spread.blur_px > 0
-        points = _POINTS if blurred or circles.any() else 1
+        rest = 2.0 * self.spread.blur_px + self.spread.diffraction_px
+        points = _points(float(circles.max(initial=0.0)), rest)
         lanes = (given.weights, u, v, shift_u, shift_v, circles, given.share, given.bounce)
         width, height = self.panel
-        kept = (rings.values, rings.edge, points, self.aspect, width, height)
+        kept = (rings.values, rings.edge, rest, self.aspect, width, height)
 
         def merge(first: int, last: int, out: _Block) -> None:
             _merge_points(*lanes, *kept, *out, first, last)
@@ -310,6 +311,15 @@ def _finish(keys, n, sums, differences, row, odd, seen):  # type: ignore[no-unty
 
 
 @njit(cache=True, nogil=True)
+def _points(circle, rest):  # type: ignore[no-untyped-def]
+    """Return the number of points for a disc and what the lens spreads besides, px."""
+    radius = circle + rest
+    if radius < SHARP:
+        return 1
+    return min(max(int(2.0 * np.pi * radius * radius), _LEAST_POINTS), _MOST_POINTS)
+
+
+@njit(cache=True, nogil=True)
 def _whole(weights):  # type: ignore[no-untyped-def]
     """Return whether a pixel sees all of the lens in one bounce, as far as it was looked at."""
     return weights.min() >= 0.0
@@ -376,7 +386,7 @@ def _merge_lines(  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _merge_points(  # type: ignore[no-untyped-def]
     weights, u, v, shift_u, shift_v, circles, share, bounce,
-    rings, edge, points, aspect, columns, lines,
+    rings, edge, rest, aspect, columns, lines,
     keys, sums, differences, counts, start, width, first, last,
 ):  # fmt: skip
     """Add footprints in two dimensions up: points of equal shares on a turned spiral."""
@@ -389,9 +399,11 @@ def _merge_points(  # type: ignore[no-untyped-def]
                 whole = _whole(weights[p, s : s + bounce])
             if weights[p, s] <= 0.0:
                 continue
-            weight, circle, u0, v0 = weights[p, s] / points, circles[p, s], u[p, s], v[p, s]
+            circle, u0, v0 = circles[p, s], u[p, s], v[p, s]
             if not whole:
                 circle, u0, v0 = circle * share, u0 + shift_u[p, s], v0 + shift_v[p, s]
+            points = _points(circle, rest)
+            weight = weights[p, s] / points
             half = weight if s % bounce < bounce // 2 else -weight
             reach = circle + edge
             ring = rings[int(circle / reach * (rings.shape[0] - 1) + 0.5)]
