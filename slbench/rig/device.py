@@ -46,6 +46,7 @@ from slbench.rig.distortion import (
     tilt_matrix,
     tilt_rotation,
     undistort,
+    with_fold,
 )
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners, product
@@ -167,7 +168,7 @@ class Device(Value):
         return Optics(
             centre=np.array(self.centre),
             per_unit=self.lens.focal_length_mm / np.array(self.pitch_mm),
-            distortion=np.array(self.distortion),
+            distortion=with_fold(self.distortion),
             tilt=tilt,
             untilt=np.linalg.inv(tilt).astype(np.float64),
             distorted=any(self.distortion),

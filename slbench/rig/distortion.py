@@ -7,16 +7,76 @@ Both act on *normalised image coordinates* ``(x, y)``: for a perspective lens ``
 * Tilt is OpenCV's ``tauX, tauY``: the sensor plane turned about its own axes at the
   principal point (Louhichi et al., Meas. Sci. Technol. 18, 2007).
 
+**Where a lens is defined.**  A polynomial turns back somewhere: beyond its *fold* points outside
+the field come back as if they were inside.  :func:`fold_radius` says where that is, and everything
+that projects, whoever does it, stops there (:func:`distort` gives NaN).
+
 Every function has its exact Jacobian, because the inverse (Newton) and the covariance of
 reconstructed points need it.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+
+#: Directions in which the fold is looked for; without tangential terms it is a circle.
+_DIRECTIONS = 64
+#: It is looked for up to 84 degrees off the axis, in so many steps.
+_FARTHEST, _STEPS = 10.0, 4001
+
+
+def fold_radius(coefficients: ArrayLike) -> float:
+    """Return the radius of undistorted coordinates at which Brown-Conrady distortion folds.
+
+    The determinant of the Jacobian is positive within it.  With tangential terms the fold is not
+    quite a circle, and its smallest radius counts.
+
+    Parameters
+    ----------
+    coefficients : (5,) float
+        ``k1, k2, p1, p2, k3``.
+
+    Returns
+    -------
+    float
+        Infinite where the polynomial does not fold.
+    """
+    return _fold_radius(*(float(k) for k in np.asarray(coefficients, dtype=np.float64)))
+
+
+@lru_cache(maxsize=64)
+def _fold_radius(k1: float, k2: float, p1: float, p2: float, k3: float) -> float:
+    angle = 2.0 * np.pi * np.arange(_DIRECTIONS if p1 or p2 else 1)[:, None] / _DIRECTIONS
+    c, s = np.cos(angle), np.sin(angle)
+
+    def determinant(r: Array) -> Array:
+        r2 = r * r
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        slope = 2.0 * r2 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
+        a = radial + c * c * slope + r * (2.0 * p1 * s + 6.0 * p2 * c)
+        b = c * s * slope + r * (2.0 * p1 * c + 2.0 * p2 * s)
+        d = radial + s * s * slope + r * (6.0 * p1 * s + 2.0 * p2 * c)
+        product: Array = a * d - b * b
+        return product
+
+    radii = np.linspace(0.0, _FARTHEST, _STEPS)
+    folded = np.flatnonzero(np.any(determinant(radii) <= 0.0, axis=0))
+    if folded.size == 0:
+        return float("inf")
+    low, high = radii[folded[0] - 1], radii[folded[0]]
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if np.any(determinant(np.array([middle])) <= 0.0):
+            high = middle
+        else:
+            low = middle
+    return float(low)
 
 
 def distort(xy: Array, coefficients: Array) -> tuple[Array, Array]:
@@ -32,12 +92,16 @@ def distort(xy: Array, coefficients: Array) -> tuple[Array, Array]:
     Returns
     -------
     distorted : (..., 2) float
+        NaN beyond the fold.
     jacobian : (..., 2, 2) float
         Derivative of the distorted by the undistorted coordinates.
     """
     k1, k2, p1, p2, k3 = coefficients
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
+    fold = fold_radius(coefficients)
+    if np.isfinite(fold):
+        r2 = np.where(r2 < fold * fold, r2, np.nan)
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     d_radial = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)  # by r^2
     out = np.stack(
@@ -77,8 +141,13 @@ def undistort(xy: Array, coefficients: Array) -> Array:
 
     result = np.empty(target.shape)
     rows = np.ascontiguousarray(target).reshape(-1, 2)
-    undistort_all(rows, np.asarray(coefficients, dtype=np.float64), result.reshape(-1, 2))
+    undistort_all(rows, with_fold(coefficients), result.reshape(-1, 2))
     return result
+
+
+def with_fold(coefficients: ArrayLike) -> Array:
+    """Return coefficients (5,) as compiled loops take them: the fold's squared radius behind."""
+    return np.append(np.asarray(coefficients, dtype=np.float64), fold_radius(coefficients) ** 2)
 
 
 def tilt_rotation(tau_x: float, tau_y: float) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 
 from slbench.core.show.display import length
 from slbench.rig.device import Camera, Device
+from slbench.rig.distortion import fold_radius
 from slbench.rig.rig import Rig
 
 #: Pitches of sensors and panels, µm, with room: from phones' cameras to thermal ones and LED walls
@@ -42,6 +43,8 @@ _CATALOGUE_MM = (
 _LEAST_EXTENSION = 0.05
 #: Error of a principal point, in sizes of the image, that still tells another resolution.
 _NEAR = 0.06
+#: Places along each side of a panel that are asked whether they see anything.
+_SAMPLED = 33
 
 
 def pitch_doubt(device: Device) -> str | None:
@@ -124,11 +127,28 @@ def focal_length_doubt(focal_length_mm: float, focus_distance_mm: float) -> str 
     )
 
 
+def fold_doubt(device: Device) -> str | None:
+    """Question a distortion that folds within the panel's own field."""
+    across = [np.linspace(-0.5, n - 0.5, _SAMPLED) for n in (device.width, device.height)]
+    pixels = np.stack(np.meshgrid(*across), axis=-1)
+    lost = float(np.mean(np.isnan(device.normalise(pixels)[..., 0])))
+    if lost == 0.0:
+        return None
+    fold = fold_radius(device.distortion)
+    return (
+        f"the polynomial folds at {fold:.3g} of the distance from the axis, so that "
+        f"{max(1, round(100 * lost))} % of the pixels see nothing: a calibration whose points did "
+        "not reach the corners?"
+    )
+
+
 def rig_doubts(rig: Rig) -> Iterator[tuple[str, str]]:
     """Return what is odd about a camera and a projector: (what, sentence)."""
     for name, device in (("camera", rig.camera), ("projector", rig.projector)):
         if doubt := pitch_doubt(device):
             yield f"pitch_um of the {name}", doubt
+        if any(device.distortion) and (doubt := fold_doubt(device)):
+            yield f"distortion of the {name}", doubt
     if doubt := principal_point_doubt(rig.camera):
         yield "principal point of the camera", doubt
     if doubt := baseline_doubt(rig):

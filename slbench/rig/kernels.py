@@ -34,7 +34,8 @@ class Optics(NamedTuple):
         Principal point, px.
     per_unit : (2,) float
         Pixels to a unit of normalised coordinates.
-    distortion : (5,) float
+    distortion : (6,) float
+        The coefficients and the fold (:func:`slbench.rig.distortion.with_fold`).
     tilt, untilt : (3, 3) float
         The sensor's homography and its inverse.
     distorted, tilted, telecentric : bool
@@ -94,6 +95,8 @@ def undistorted(x, y, coefficients):  # type: ignore[no-untyped-def]
         at_y -= (a * error_y - b * error_x) / determinant
         at_x, at_y = min(max(at_x, -1e3), 1e3), min(max(at_y, -1e3), 1e3)
         if residual <= _TOLERANCE:
+            if at_x * at_x + at_y * at_y >= coefficients[5]:
+                break
             return at_x, at_y, a, b, d
     return np.nan, np.nan, a, b, d
 
@@ -139,6 +142,8 @@ def projected(optics, point):  # type: ignore[no-untyped-def]
         along_x = along_y = 0.0
     a, b, c, d = 1.0, 0.0, 0.0, 1.0
     if optics.distorted:
+        if x * x + y * y >= optics.distortion[5]:
+            x = y = np.nan
         x, y, a, b, d = distorted(x, y, optics.distortion)
         c = b
     if optics.tilted:

@@ -252,10 +252,10 @@ class _Tracer:
         source = self.projector_to_world @ origin
         value = bsdf.eval(context, si, si.to_local(dr.normalize(source - si.p)), active & valid)
         weight = value.x * throughput * fall_off * self.intensity
-        active = active & valid & (weight > 0)
+        chief, along_x, along_y = self.projector.footprint(point)
+        active = active & valid & (weight > 0) & self.projector.reached(chief)
         hidden = self.geometry.ray_test(si.spawn_ray_to(source), active)
         weight = dr.select(active, dr.select(hidden, -weight, weight), 0.0)
-        chief, along_x, along_y = self.projector.footprint(point)
         # Strata of the lens are its zones.
         strata = mi.Vector2f(*(opaque(count) for count in self.strata))
         zone = self.projector.disk((dr.floor(lens * strata) + 0.5) / strata)

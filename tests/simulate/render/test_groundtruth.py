@@ -5,9 +5,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from helpers_scene import plate, scene
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
-from stages import ground_truth
+from stages import ground_truth, trace
 
 from slbench import objects
 from slbench.core.errors import InputError
@@ -15,6 +16,7 @@ from slbench.core.io import read_exr, write_exr
 from slbench.objects import Artefact, Mesh
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
+from slbench.rig.distortion import fold_radius
 from slbench.rig.opencv import write_rig
 from slbench.scene.model import Scene, SceneObject
 from slbench.scene.truth import GroundTruth, Status
@@ -434,3 +436,30 @@ def test_an_exr_without_a_channel_is_refused(tmp_path):
     write_exr(path, {"depth.Z": np.zeros((4, 5), np.float32)})
     with pytest.raises(InputError, match=r"point\.X: expected this channel"):
         GroundTruth.load(path)
+
+
+@pytest.mark.parametrize("kind", ["perspective", "telecentric"])
+def test_light_and_truth_end_at_the_fold(kind):
+    """No ghosts: the projector lights nothing beyond its fold, in frames and in truth."""
+    lens = Lens(1.0, 0.0, 300.0)
+    if kind == "telecentric":
+        lens = Lens.telecentric(1.0 / 300.0, 0.0, 300.0)
+    down = np.diag([1.0, -1.0, -1.0])
+    folding = Projector(
+        80, 60, (0.02, 0.02), lens, distortion=(-1.0, 0.0, 0.0, 0.0, 0.0),
+        pose=Pose(down, np.array([0.0, 0.0, 300.0])),
+    )  # fmt: skip
+    wide = Camera(
+        60, 60, (0.04, 0.04), Lens(1.0, 0.0, 300.0), pose=Pose(down, np.array([5.0, 0.0, 300.0]))
+    )
+    view = scene(Rig(wide, folding), plate((900.0, 900.0)))
+    truth, transport = ground_truth(view), trace(view)
+    radius = np.linalg.norm(truth.point[..., :2], axis=-1) / 300.0
+    fold = fold_radius(folding.distortion)
+    assert radius.max() > 2.0 * fold
+    assert np.any(truth.lit)
+    assert np.all(radius[truth.lit] < fold)
+    light = transport.white() > 0
+    # A pixel is 12 mm wide there, 0.04 of the distance.
+    assert not np.any(light[radius > fold + 0.04])
+    assert np.all(light[truth.lit & (radius < fold - 0.04)])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from slbench.design.rig.hardware import Hardware, Placement
 from slbench.design.rig.kernels import loops
 from slbench.rig import Device, Pose
+from slbench.rig.distortion import with_fold
 
 Array = NDArray[np.float64]
 
@@ -215,7 +216,7 @@ class Maps:
         projector = self.hardware.projector
         fu, fv = projector.matrix[0, 0], projector.matrix[1, 1]
         return (
-            np.array(projector.distortion),
+            with_fold(projector.distortion),
             np.ascontiguousarray(projector.tilt_homography, dtype=np.float64),
             np.array([fu, fv, *projector.centre]),
         )

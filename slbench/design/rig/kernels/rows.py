@@ -128,7 +128,7 @@ def distorted_row(  # type: ignore[no-untyped-def]
 
     `rays` (columns, 9, 2) are the undistorted coordinates of each pixel's rays, the fifth
     the centre's; `ground` maps them to the plane; `lens` is ``(projector rotation, projector
-    origin, focus distance or 0, distortion (5,), tilt (3, 3), (fu, fv, u0, v0))``; `table`
+    origin, focus distance or 0, distortion (6,), tilt (3, 3), (fu, fv, u0, v0))``; `table`
     (height, width, 2) the undistorted coordinates of the panel's pixels, for two coded axes.
     """
     columns = np.empty(9)
@@ -170,7 +170,10 @@ def _on_plane(ray, ground):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _project(x, y, z, lens):  # type: ignore[no-untyped-def]
-    """Panel pixel of a world point, with distortion and tilt; NaN behind the projector."""
+    """Panel pixel of a world point, with distortion and tilt.
+
+    NaN behind the projector and beyond the fold of its distortion.
+    """
     rotation, origin, telecentric, k, tilt, pixel = lens
     dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
     depth = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
@@ -181,6 +184,8 @@ def _project(x, y, z, lens):  # type: ignore[no-untyped-def]
     p = (rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / depth
     q = (rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / depth
     r2 = p * p + q * q
+    if r2 >= k[5]:
+        return np.nan, np.nan
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
     s = p * radial + 2.0 * k[2] * p * q + k[3] * (r2 + 2.0 * p * p)
     t = q * radial + k[2] * (r2 + 2.0 * q * q) + 2.0 * k[3] * p * q

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from slbench.rig import Device, Lens
+from slbench.rig.distortion import fold_radius
 from slbench.rig.spread import RING_SOFTENING
 from slbench.simulate.render.mitsuba import dr, mi
 
@@ -57,6 +58,8 @@ class PanelOptics:
         self.focus_distance = opaque(lens.focus_distance_mm)
         self.aperture = opaque(lens.defocusing_radius_mm) if lens.defocusing_radius_mm > 0 else None
         self.distortion = [opaque(k) for k in device.distortion] if any(device.distortion) else None
+        fold = fold_radius(device.distortion)
+        self.fold2 = opaque(fold**2) if np.isfinite(fold) else None
         self.aspect = opaque(device.pitch_mm[0] / device.pitch_mm[1])
         self.rings: tuple[Any, int, int, Any] | None = None
         if device.spread.diffraction_px > 0 or device.spread.blur_px > 0:
@@ -76,6 +79,8 @@ class PanelOptics:
     # -- panel <-> normalised coordinates ----------------------------------------------
 
     def _to_pixel(self, xy: mi.Point2f) -> mi.Point2f:
+        if self.fold2 is not None:
+            xy = dr.select(dr.squared_norm(xy) < self.fold2, xy, dr.nan)
         if self.distortion is not None:
             xy = _distort(xy, self.distortion)[0]
         if self.tilt is not None:
@@ -114,6 +119,10 @@ class PanelOptics:
             )
             scale *= determinant / (h[6] * xy.x + h[7] * xy.y + h[8]) ** 3
         return dr.rcp(scale)
+
+    def reached(self, pixel: mi.Point2f) -> mi.Bool:
+        """Return whether a position is one: it is NaN beyond the fold of the distortion."""
+        return mi.Bool(True) if self.fold2 is None else dr.isfinite(pixel.x)
 
     def inside(self, pixel: mi.Point2f) -> mi.Bool:
         """Return whether a pixel position lies on the panel."""
