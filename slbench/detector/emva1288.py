@@ -130,8 +130,13 @@ class Detector(Value, DetectorModel):
     @property
     def saturation_dn(self) -> int:
         """Digital number of a full well, or the top of the range where that is less."""
-        level = self.black_dn + self.full_well_e / self.e_per_dn
-        return min(self.top_dn, int(level + 1e-6))  # the quotient may be an ulp short
+        # The quotient may be an ulp short.
+        return int(self.black_dn + self.saturation_e / self.e_per_dn + 1e-6)
+
+    @property
+    def saturation_e(self) -> float:
+        """Electrons at which a pixel saturates: full well, or what the converter counts if less."""
+        return min(self.full_well_e, (self.top_dn - self.black_dn) * self.e_per_dn)
 
     @property
     def e_per_dn(self) -> float:
@@ -192,8 +197,8 @@ class Detector(Value, DetectorModel):
         mean = np.asarray(photons, dtype=np.float64)
         _require_photons(mean)
         dark = self.dark_current_e_per_s * exposure_s
-        electrons = np.minimum(self.quantum_efficiency * mean + dark, self.full_well_e)
-        return np.minimum(self.black_dn + electrons / self.e_per_dn, self.top_dn)
+        electrons = np.minimum(self.quantum_efficiency * mean + dark, self.saturation_e)
+        return np.asarray(self.black_dn + electrons / self.e_per_dn)
 
     @checked
     def expose(
@@ -277,7 +282,7 @@ class Detector(Value, DetectorModel):
         photons_white : array_like
             Mean photons a pixel under a fully lit panel.
         level : float
-            Fraction of full well to reach.
+            Fraction of saturation (:attr:`saturation_e`) to reach.
         percentile : float
             Percentile of the lit pixels (those with any photons) that reaches it;
             the brighter rest is left to saturate, as highlights are.
@@ -293,7 +298,7 @@ class Detector(Value, DetectorModel):
         if lit.size == 0:
             raise InputError("exposure scale: photons_white", "lit pixels", "a black image")
         bright = float(np.percentile(lit, percentile))
-        return level * self.full_well_e / (self.quantum_efficiency * bright)
+        return level * self.saturation_e / (self.quantum_efficiency * bright)
 
 
 @lru_cache(maxsize=4)

@@ -33,6 +33,7 @@ from slbench.core.validation.types import (
     Angle,
     Blur,
     Distortion,
+    Fraction,
     Measure,
     Pair,
     PanelBits,
@@ -374,14 +375,22 @@ class Device(Value):
 
 @dataclass(frozen=True, repr=False)
 class Camera(Device):
-    """A camera; see :class:`Device`."""
+    """A camera; see :class:`Device`.
+
+    Parameters
+    ----------
+    fill_factor : float
+        Photosensitive share of a pixel's area, in (0, 1].
+    """
+
+    fill_factor: Fraction = 1.0
 
     @property
     def etendue_mm2_sr(self) -> float:
         """Photon-collecting power of one pixel on the axis, mm^2 sr.
 
         Irradiance on the sensor is ``pi L / (4 N^2)`` for scene radiance ``L`` and image-side
-        f-number ``N``; times the pixel's area.
+        f-number ``N``; times the pixel's photosensitive area.
 
         Raises
         ------
@@ -395,7 +404,26 @@ class Camera(Device):
                 "an aperture (f_number) for an absolute exposure",
                 "a pinhole",
             )
-        return np.pi / (4.0 * number**2) * self.pitch_mm[0] * self.pitch_mm[1]
+        area = self.fill_factor * self.pitch_mm[0] * self.pitch_mm[1]
+        return np.pi / (4.0 * number**2) * area
+
+    def coarser(self, divisor: int) -> Self:
+        """Return the camera with pixels of `divisor` times the pitch, the same instrument.
+
+        A pixel keeps its electrons: of its area as much is photosensitive as before, so that its
+        exposure, its noise and what it saturates at are the same.  Blur keeps its length.
+        """
+        u, v = self.centre
+        return replace(
+            self,
+            width=max(self.width // divisor, 1),
+            height=max(self.height // divisor, 1),
+            pitch_mm=(self.pitch_mm[0] * divisor, self.pitch_mm[1] * divisor),
+            # The panel's corner stays where it is; it is half a pixel from the first centre.
+            principal_point=((u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5),
+            blur_px=self.blur_px / divisor,
+            fill_factor=self.fill_factor / divisor**2,
+        )
 
 
 @dataclass(frozen=True, repr=False)

@@ -6,7 +6,8 @@ projector; ``R``, ``T`` from camera to projector coordinates (the convention of
 coordinates (default: identity, the world is the camera's frame).  OpenCV has no word for
 apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers),
 ``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
-``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``name_*``, ``flux_w``,
+``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``name_*``,
+``fill_factor_camera``, ``flux_w``,
 ``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.
 """
 
@@ -45,6 +46,7 @@ _KEYS = {
     "tilt_rad": "dist_{}",
     "width": "size_{}",
     "height": "size_{}",
+    "fill_factor": "fill_factor_{}",
     "flux_w": "flux_w",
     "bit_depth": "bit_depth_{}",
     "gamma": "gamma_{}",
@@ -100,6 +102,7 @@ def write_rig(path: str | Path, rig: Rig) -> None:
         "T": offset,
         "R_world": camera.pose.rotation.T,
         "T_world": camera.pose.to_local(np.zeros(3)),
+        "fill_factor_camera": float(camera.fill_factor),
         "flux_w": float(projector.flux_w),
         "bit_depth_projector": int(projector.bit_depth or 0),
         "gamma_projector": float(projector.gamma),
@@ -231,7 +234,9 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
         camera_pose.rotation @ relative.rotation, camera_pose.to_world(relative.position)
     )
     volume = values.array("volume_mm", (3,), [60.0, 70.0, 30.0])
-    camera_arguments = _device_arguments(values, "camera")
+    camera_arguments = _device_arguments(values, "camera") | {
+        "fill_factor": values.number("fill_factor_camera", 1.0)
+    }
     projector_arguments = _device_arguments(values, "projector") | {
         "flux_w": values.number("flux_w", 1.0),
         "bit_depth": values.whole("bit_depth_projector", 8) or None,

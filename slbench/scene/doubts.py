@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from slbench.core import resources
 from slbench.core.show.display import length
+from slbench.detector import Detector
 from slbench.objects import Mesh
 from slbench.rig import Rig
 from slbench.rig.device import Device
@@ -28,6 +29,8 @@ _FITS = (0.03, 1.2)
 _SMALL, _LARGE = 0.02, 1.5
 #: Pixels of the camera that an object covers which can be measured at all.
 _SPECK_PX = 2.0
+#: Share of full well that a converter counts: gains of cameras use a tenth of it and more.
+_COUNTED = (0.1, 10.0)
 #: Objects that a refusal describes.
 _MOST = 3
 #: Units in the order in which they are tried, with the words for them.
@@ -52,9 +55,24 @@ def scene_doubts(scene: Scene, tables: SceneTables) -> Iterator[tuple[str, str]]
             focus = device.lens.focus_distance_mm
             if doubt := focal_length_doubt(table.focal_length_mm, focus):
                 yield f"{name}.focal_length_mm", doubt
+    if isinstance(scene.detector, Detector) and (doubt := converter_doubt(scene.detector)):
+        yield "detector.gain_e_per_dn", doubt
     for index, item in enumerate(scene.objects):
         if doubt := speck_doubt(item, rig):
             yield f"objects[{index}]", doubt
+
+
+def converter_doubt(detector: Detector) -> str | None:
+    """Question a gain with which the converter's range ends far from full well."""
+    counted = (detector.top_dn - detector.black_dn) * detector.e_per_dn
+    share = counted / detector.full_well_e
+    if _COUNTED[0] <= share <= _COUNTED[1]:
+        return None
+    fits = detector.full_well_e / (detector.top_dn - detector.black_dn)
+    return (
+        f"{detector.e_per_dn:.4g} e/DN at {detector.bit_depth} bits count {counted:.4g} e of a "
+        f"full well of {detector.full_well_e:.4g} e; {fits:.4g} e/DN would count all of it"
+    )
 
 
 def speck_doubt(item: SceneObject, rig: Rig) -> str | None:

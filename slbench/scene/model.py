@@ -91,7 +91,7 @@ class Exposure(Value):
         the picture of the fully lit panel.
     white_level : float
         Where the automatic exposure puts that picture's 99th percentile of the lit pixels,
-        as a fraction of full well.
+        as a fraction of saturation.
     vibration_px : float
         Standard deviation of the picture's shift from frame to frame, along u and v.
     """
@@ -180,15 +180,11 @@ class Scene(Value):
         return replace(self, rig=self.rig.all_in_focus(), focus=None)
 
     def coarser(self, divisor: int, samples: int) -> Self:
-        """Return the scene seen by a camera of fewer, larger pixels, for a quick look."""
-        camera = self.rig.camera
-        u, v = camera.centre
-        smaller = replace(
-            camera,
-            width=max(camera.width // divisor, 1),
-            height=max(camera.height // divisor, 1),
-            pitch_mm=(camera.pitch_mm[0] * divisor, camera.pitch_mm[1] * divisor),
-            # The panel's corner stays where it is; it is half a pixel from the first centre.
-            principal_point=((u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5),
-        )
-        return replace(self, rig=self.rig.having(camera=smaller), samples=samples)
+        """Return the scene seen by a camera of fewer, larger pixels, for a quick look.
+
+        It is the same instrument: what is stated a pixel is carried over, so that errors in
+        millimetres and completeness are those of the full scene, within what larger pixels see.
+        """
+        exposure = replace(self.exposure, vibration_px=self.exposure.vibration_px / divisor)
+        camera = self.rig.camera.coarser(divisor)
+        return replace(self, rig=self.rig.having(camera=camera), exposure=exposure, samples=samples)

@@ -96,6 +96,16 @@ class Optics(Parameters):
         }
 
 
+class CameraOptics(Optics):
+    """The optical keys of a camera."""
+
+    fill_factor: Fraction = 1.0
+
+    def arguments(self, distance_mm: float) -> dict[str, Any]:
+        """Return the arguments of Camera, focused at `distance_mm` by default."""
+        return super().arguments(distance_mm) | {"fill_factor": self.fill_factor}
+
+
 class ProjectorOptics(Optics):
     """The optical keys of a projector, and its light."""
 
@@ -265,7 +275,7 @@ class SceneTables(Parameters):
     description: str = ""
     # What ran (slbench.scene.file.extended): path and SHA-256.
     modules: tuple[dict[str, str], ...] = ()
-    camera: Optics | None = None
+    camera: CameraOptics | None = None
     projector: ProjectorOptics | None = None
     # Its keys are those of its kind (slbench.detector.base).
     detector: dict[str, Any] = Field(default_factory=dict)

@@ -318,3 +318,25 @@ def test_predicted_deviation_covers_decoded_detector_frames():
 def test_bad_input(call):
     with pytest.raises(InputError):
         call(Detector(), np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_exposure_is_limited_by_full_well_and_converter(seed):
+    """Whichever is less: the white picture reaches the level, and nearly nothing saturates."""
+    rng = np.random.default_rng(seed)
+    bits = int(rng.choice([8, 10, 12, 14, 16]))
+    detector = Detector(
+        bit_depth=bits,
+        full_well_e=rng.uniform(5e3, 5e4),
+        gain_e_per_dn=rng.uniform(5e3, 5e4) / 2**bits,
+        dark_current_e_per_s=0.0,
+    )
+    counted = (detector.top_dn - detector.black_dn) * detector.e_per_dn
+    assert detector.saturation_e == pytest.approx(min(detector.full_well_e, counted))
+    light = rng.uniform(0.5, 1.0, (80, 80))
+    scale = detector.exposure_scale(light, 0.8)
+    frames = detector.expose(light, 0.0, np.random.default_rng(1), scale=scale)
+    level = (np.percentile(frames, 99) - detector.black_dn) * detector.e_per_dn
+    # Noise of 5e3 e is 1.5 %, and lifts the percentile.
+    assert level == pytest.approx(0.8 * detector.saturation_e, rel=0.06)
+    assert np.mean(frames >= detector.saturation_dn) < 0.01

@@ -5,7 +5,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from helpers_scene import plate, scene
+from helpers_scene import scene
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from stages import ground_truth, trace
