@@ -11,9 +11,8 @@ It is next-event estimation as in a path tracer with the projector as only light
 lookup; bounces append samples to the same row.  One Dr.Jit kernel makes a pass of samples,
 pixel-major; Numba merges them into sparse rows.  Passes bound the memory.
 
-Samples are stratified within each pixel (correlated multi-jittered: A. Kensler, Pixar
-Technical Memo 13-01), so that few suffice; all frames of a scan share them, so that Monte
-Carlo noise cannot masquerade as phase noise.
+Few samples suffice (:mod:`slbench.simulate.render.strata`); all frames of a scan share them, so
+that Monte Carlo noise cannot masquerade as phase noise.
 """
 
 from __future__ import annotations
@@ -35,6 +34,7 @@ from slbench.simulate.footprints import Levels
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.camera import camera_ray
 from slbench.simulate.render.plugins.optics import PanelOptics, opaque, opaque_transform
+from slbench.simulate.render.strata import Strata
 from slbench.simulate.render.translate import geometry, pose_matrix
 from slbench.simulate.rows import LineRows, PointRows, SampleBlock
 from slbench.simulate.transport import LightTransport, Marginal
@@ -138,7 +138,7 @@ class _Tracer:
         samples: int,
         seed: int,
     ) -> None:
-        self.seed = seed
+        self.seed = int(derived_seed(seed, 0)) & 0xFFFFFFFF
         self.bounces = light.bounces
         self.ambient = light.ambient_w_per_mm2 / np.pi
         self.camera = PanelOptics(rig.camera)
@@ -149,10 +149,8 @@ class _Tracer:
         self.intensity = opaque(rig.projector.axial_intensity)
         self.width, self.height = rig.camera.width, rig.camera.height
         self.geometry = geometry(objects)
-        # Strata form a grid of near-square shape.
-        half = max(1, -(-samples // 2))
-        self.strata = (-(-half // math.isqrt(half)), math.isqrt(half))
-        self.samples = 2 * self.strata[0] * self.strata[1]
+        self.pairs = max(1, -(-samples // 4))
+        self.samples = 4 * self.pairs
 
     def passes(self) -> list[tuple[int, int]]:
         """Return the pixel ranges of the passes."""
@@ -179,7 +177,9 @@ class _Tracer:
             for arrays in zip(*wanted, strict=True)
         )
         axes = {k: (parts[k], parts[k + 2], parts[k + 4]) for k in range(2)}
-        share = 1.0 / math.sqrt(self.strata[0] * self.strata[1])
+        # A sample stands for as much of the lens as a pair; its place and that disc together have
+        # the variance of the whole.
+        share = 1.0 / math.sqrt(self.pairs)
         samples = SampleBlock(weights, axes, share, self.samples)
         for rows in builders.values():
             rows.add(samples)
@@ -194,15 +194,12 @@ class _Tracer:
     def _kernel(self, first: int, last: int) -> tuple[list[_Hit], Any]:
         """Return what each bounce sees of the projector, and radiance from outside."""
         lanes = (last - first) * self.samples
-        half = self.samples // 2
-        sampler = mi.load_dict({"type": "multijitter", "sample_count": half})
-        # Two independent sets of strata a pixel: their difference tells the Monte Carlo error.
-        sampler.set_samples_per_wavefront(half)
-        state = derived_seed(self.seed, first)
-        sampler.seed(int(state), lanes)
-
-        pixel = dr.arange(mi.UInt32, lanes) // dr.opaque(mi.UInt32, self.samples)
+        per_pixel = dr.opaque(mi.UInt32, self.samples)
+        lane = dr.arange(mi.UInt32, lanes)
+        pixel = lane // per_pixel
+        sample_number = lane - pixel * per_pixel
         pixel += dr.opaque(mi.UInt32, first)
+        sampler = Strata(pixel, sample_number, self.pairs, self.seed)
         row = pixel // dr.opaque(mi.UInt32, self.width)
         column = pixel - row * dr.opaque(mi.UInt32, self.width)
         position = mi.Point2f(mi.Float(column), mi.Float(row)) + sampler.next_2d() - 0.5
@@ -256,9 +253,7 @@ class _Tracer:
         active = active & valid & (weight > 0) & self.projector.reached(chief)
         hidden = self.geometry.ray_test(si.spawn_ray_to(source), active)
         weight = dr.select(active, dr.select(hidden, -weight, weight), 0.0)
-        # Strata of the lens are its zones.
-        strata = mi.Vector2f(*(opaque(count) for count in self.strata))
-        zone = self.projector.disk((dr.floor(lens * strata) + 0.5) / strata)
+        zone = place * math.sqrt(1.0 - 1.0 / self.pairs)
         shift = along_x * zone.x + along_y * zone.y
         circles = dr.sqrt(along_x * along_x + along_y * along_y)
         return _Hit(weight, chief, shift, circles)
