@@ -130,7 +130,7 @@ class Scene(Value):
     detector: DetectorModel = field(default_factory=Detector)
     exposure: Exposure = field(default_factory=Exposure)
     light: Light = field(default_factory=Light)
-    samples: Samples = 64
+    samples: Samples = 16
     specification: dict[str, Any] = field(default_factory=dict)
     focus: Focus | None = None
 

@@ -257,7 +257,7 @@ class PatternsTable(Parameters):
 class RenderTable(Parameters):
     """``[render]``."""
 
-    samples: Samples = 64
+    samples: Samples = 16
 
 
 class PreviewTable(Parameters):

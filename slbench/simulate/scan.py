@@ -38,6 +38,9 @@ from slbench.simulate.sharp import expected_frames
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
+#: Share of the mean square error by sampling that is worth a word: 5 % of the RMS.
+_SEEN = 0.1
+
 #: Called with the name of the stage and its finished fraction.
 Progress = Callable[[str, float], None]
 
@@ -90,12 +93,14 @@ class ScanScores:
     """What a scan is worth.
 
     ``floor_rms_px`` is the RMS error of the panel coordinate with the detector left out, over
-    smooth lit pixels: the renderer's own error, beside which noise is to be judged.  ``fusion``
-    is None for a scene without focus settings.
+    smooth lit pixels: the error beside which noise is to be judged.  ``monte_carlo_rms_px`` is the
+    part of it that more samples would take away; the rest is physical: square panel pixels, and
+    what a pixel's footprint averages.  ``fusion`` is None for a scene without focus settings.
     """
 
     points: Score
     floor_rms_px: float
+    monte_carlo_rms_px: float
     fusion: FusionScore | None
 
 
@@ -163,6 +168,11 @@ class Scan:
         return self._scored.floor_rms_px
 
     @property
+    def monte_carlo_rms_px(self) -> float:
+        """What sampling adds to the floor; refused where scoring was left out."""
+        return self._scored.monte_carlo_rms_px
+
+    @property
     def fusion(self) -> FusionScore | None:
         """Score of a fused stack; refused where scoring was left out."""
         return self._scored.fusion
@@ -178,7 +188,7 @@ class Scan:
         lines = [f"{len(self.cloud)} points, not scored", f"{self.run.seconds['total']:.1f} s"]
         if self.scores is not None:
             lines[0] = repr(self.score)
-            lines[1] = f"renderer's floor {self.floor_rms_px:.4f} px; {lines[1]}"
+            lines[1] = f"floor without noise {self._floor()}; {lines[1]}"
         return block(
             f"Scan of {self.scene.name}: {{{sequence.name}}}, {sequence.n_frames} frames "
             f"{shape[1]} x {shape[0]} px, seed {self.run.seed}",
@@ -193,7 +203,11 @@ class Scan:
         """Return the numbers of the whole scan as they are shown, (quantity, value)."""
         if self.scores is None:
             return [("points", f"{len(self.cloud)}")]
-        return [*self.score.rows(), ("renderer's own floor", f"{self.floor_rms_px:.4f} px")]
+        return [*self.score.rows(), ("floor without noise", self._floor())]
+
+    def _floor(self) -> str:
+        sampling = f"{self.monte_carlo_rms_px:.4f} by sampling"
+        return f"{self.floor_rms_px:.4f} px, {sampling}"
 
     def plot(self) -> Any:
         """Return a matplotlib figure: frame, phase, panel coordinate, heights, errors."""
@@ -203,7 +217,10 @@ class Scan:
         """Return the result as plain values for JSON."""
         scores, fusion = {"points": len(self.cloud)}, {}
         if self.scores is not None:
-            scores = self.score.to_dict() | {"floor_rms_px": self.floor_rms_px}
+            scores = self.score.to_dict() | {
+                "floor_rms_px": self.floor_rms_px,
+                "monte_carlo_rms_px": self.monte_carlo_rms_px,
+            }
             if self.fusion is not None:
                 fusion = {"fusion": self.fusion.to_dict()}
         return {
@@ -258,7 +275,8 @@ def scan(
     Warns
     -----
     InputWarning
-        If nothing is lit, or nearly all lit pixels are saturated or dark.
+        If nothing is lit, nearly all lit pixels are saturated or dark, or more samples would
+        change the result.
     """
     # Mitsuba is needed from here on, and only here.
     from slbench.simulate.render.backend.choice import current
@@ -326,6 +344,8 @@ def scan(
     if score:
         with stage("score"):
             result = replace(result, scores=score_scan(result))
+        if doubt := samples_doubt(result):
+            warn_user(f"scene {scene.name}", doubt)
     seconds["total"] = time.perf_counter() - begin
     return result
 
@@ -337,22 +357,56 @@ def score_scan(scan: Scan) -> ScanScores:
     if scene.focus is not None:
         sharp = expected_frames(view.stack, view.transport, scene.detector, scene.exposure)
         fusion = score_fusion(view.stack, view.fused, sharp, view.truth)
-    projector = scene.rig.projector
+    floor, sampling = floors_px(view.transport, scene.sequence, scene.rig.projector, view.truth)
     return ScanScores(
         points=score_points(scan.cloud, view.truth, view.phase, scene.objects, scene.rig),
-        floor_rms_px=floor_rms_px(view.transport, scene.sequence, projector, view.truth),
+        floor_rms_px=floor,
+        monte_carlo_rms_px=sampling,
         fusion=fusion,
     )
 
 
-def floor_rms_px(
+def samples_doubt(scan: Scan) -> str | None:
+    """Question a number of samples whose Monte Carlo error is seen in the result."""
+    whole = float(np.sqrt(np.mean(np.square(list(scan.score.smooth_rms_px.values())))))
+    sampling = scan.monte_carlo_rms_px
+    if not sampling**2 > _SEEN * whole**2:
+        return None
+    samples = scan.transport.samples
+    # The error falls with the number of samples, at least with its root.
+    more = samples * int(np.ceil(sampling / whole / np.sqrt(_SEEN))) ** 2
+    return (
+        f"sampling makes {sampling:.3f} of the {whole:.3f} px RMS on smooth surfaces: {more} "
+        f"samples a pixel instead of {samples} would change it (--spp, render.samples)"
+    )
+
+
+def floors_px(
     transport: LightTransport, sequence: PatternSequence, projector: Projector, truth: GroundTruth
-) -> float:
-    """Return the RMS error of noise-free panel coordinates over smooth lit pixels, px."""
+) -> tuple[float, float]:
+    """Return the RMS error of noise-free panel coordinates over smooth lit pixels, px.
+
+    Returns
+    -------
+    whole : float
+    sampling : float
+        The Monte Carlo part of it, by what decodes otherwise from half of the samples; NaN where
+        the halves were not kept.
+    """
     smooth = truth.smooth()
-    squares: list[NDArray[np.float64]] = []
-    for axis, coordinate in noise_free_coordinates(transport, sequence, projector).items():
-        error = (coordinate - truth.panel[..., "uv".index(axis)])[smooth]
-        squares.append(error[np.isfinite(error)] ** 2)
-    values = np.concatenate(squares)
-    return float(np.sqrt(values.mean())) if values.size else float("nan")
+    coordinates = noise_free_coordinates(transport, sequence, projector)
+    errors = [
+        (coordinate - truth.panel[..., "uv".index(axis)])[smooth]
+        for axis, coordinate in coordinates.items()
+    ]
+    half = transport.half()
+    if half is None:
+        return _rms(errors), float("nan")
+    others = noise_free_coordinates(half, sequence, projector)
+    return _rms(errors), _rms([(others[axis] - coordinates[axis])[smooth] for axis in others])
+
+
+def _rms(parts: list[NDArray[np.float64]]) -> float:
+    """Return the RMS of what is finite."""
+    values = np.concatenate([part[np.isfinite(part)] for part in parts])
+    return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")

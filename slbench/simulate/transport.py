@@ -13,7 +13,7 @@ works on a machine without Mitsuba.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -191,6 +191,16 @@ class LightTransport:
             raise InputError("camera image", f"shape {self.shape}", image.shape)
         seen = self._rows("uv").tocsr().T @ image.ravel()
         return seen.reshape(self.panel[1], self.panel[0])
+
+    def half(self) -> LightTransport | None:
+        """Return the transport by one half of the samples; None where that was not kept.
+
+        What comes of it differs from what comes of all samples by one draw of the Monte Carlo
+        error of all: half the difference of two independent halves has the variance of their mean.
+        """
+        if any(rows.differences is None for rows in self.marginals.values()):
+            return None
+        return replace(self, marginals={name: rows.half() for name, rows in self.marginals.items()})
 
     def band(self, rows: slice) -> LightTransport:
         """Return the transport to the image rows `rows` (without step)."""

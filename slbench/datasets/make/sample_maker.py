@@ -52,7 +52,7 @@ from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth, Status
 from slbench.score.points import score
 from slbench.simulate.expose import capture
-from slbench.simulate.scan import floor_rms_px
+from slbench.simulate.scan import floors_px
 from slbench.simulate.transport import LightTransport, Marginal
 
 #: Why draws are rejected.
@@ -194,7 +194,7 @@ def _measure(
     write_transport(folder / TRANSPORT, transport)
     truth.save(folder / TRUTH, scene.rig)
     captures: dict[str, Any] = {}
-    floors: dict[int, float] = {}
+    floors: dict[int, tuple[float, float]] = {}
     for prefix, posed in scenes.items():
         pattern_set, repeat = (int(n) for n in prefix[1:].split("r"))
         own = capture_seed(seed, pattern_set, repeat)
@@ -207,7 +207,7 @@ def _measure(
             cloud = triangulate(posed.rig, phase)
             result = score(cloud, truth, phase, posed.objects, posed.rig)
             if repeat == 0:
-                floors[pattern_set] = floor_rms_px(
+                floors[pattern_set] = floors_px(
                     transport, posed.sequence, posed.rig.projector, truth
                 )
         captures[prefix] = {
@@ -215,7 +215,8 @@ def _measure(
             "frames": posed.sequence.n_frames,
             "seed": own,
             **result.to_dict(),
-            "floor_rms_px": floors[pattern_set],
+            "floor_rms_px": floors[pattern_set][0],
+            "monte_carlo_rms_px": floors[pattern_set][1],
         }
     return {"statistics": _statistics(transport, truth), "captures": captures}
 

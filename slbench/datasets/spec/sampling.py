@@ -131,6 +131,11 @@ def _coarsen(table: dict[str, Any], width: int, settings: Mapping[str, Any]) -> 
     camera["pitch_um"] = [p * divisor for p in pitches]
     u, v = camera.get("principal_point_px", [(width - 1) / 2, (height - 1) / 2])
     camera["principal_point_px"] = [(u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5]
+    camera["blur_px"] = camera.get("blur_px", 0.0) / divisor
+    camera["fill_factor"] = camera.get("fill_factor", 1.0) / divisor**2
+    if "vibration_px" in table.get("exposure", {}):
+        table["exposure"] = dict(table["exposure"])
+        table["exposure"]["vibration_px"] /= divisor
     return divisor
 
 

@@ -58,6 +58,7 @@ SCORES: Mapping[str, str] = {
     "smooth_rms_mm": "double",
     "predicted_sigma_mm": "double",
     "floor_rms_px": "double",
+    "monte_carlo_rms_px": "double",
 }
 
 
