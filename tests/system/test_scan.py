@@ -55,9 +55,9 @@ def test_the_floor_falls_with_samples_down_to_the_square_pixels():
         floor_rms_px(scene, transport_of("plane", samples=n), truth_of("plane")) for n in (4, 144)
     )
     # Strata: the Monte Carlo part falls faster than 1 / sqrt(36); what is left of the rest is
-    # the quantised panel, 3 x 8 bit, and its square pixels.
+    # the quantised panel, 3 x 8 bit, and what blur leaves of its square pixels.
     assert many < 0.8 * few
-    assert many > 0.01
+    assert many > 0.001
 
 
 def test_without_lit_smooth_pixels_there_is_no_floor():
@@ -100,8 +100,9 @@ def test_sphere_form_is_the_floor_and_the_noise():
     normal = np.sum(cloud.sensitivity[ball, 0] * truth.normal[rows, columns][ball], axis=-1)
     predicted = np.sqrt(np.mean((normal * cloud.sigma_px[ball, 0]) ** 2))
     before, after = quiet.score.spheres[0], noisy.score.spheres[0]
-    # Smooth pixels stand for all; those at the rim are noisier: 10 %.
-    assert after.std_mm == pytest.approx(np.hypot(before.std_mm, predicted), rel=0.1)
+    # Smooth pixels stand for all; those at the rim are noisier: 10 %.  Without noise, rounding to
+    # 8 bits is an error of its own, which noise dithers and the prediction has already.
+    assert 0.9 * predicted < after.std_mm < 1.1 * np.hypot(before.std_mm, predicted)
     # The range of 10,000 residuals without the outermost 0.3 %: no more than six deviations of
     # the noise wider, and never narrower by as much.
     assert abs(after.form_mm - before.form_mm) < 6 * predicted
