@@ -136,7 +136,9 @@ class Detector(Value, DetectorModel):
     @property
     def saturation_e(self) -> float:
         """Electrons at which a pixel saturates: full well, or what the converter counts if less."""
-        return min(self.full_well_e, (self.top_dn - self.black_dn) * self.e_per_dn)
+        if self.gain_e_per_dn is None:  # which is chosen so that they meet
+            return float(self.full_well_e)
+        return float(min(self.full_well_e, (self.top_dn - self.black_dn) * self.gain_e_per_dn))
 
     @property
     def e_per_dn(self) -> float:

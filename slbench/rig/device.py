@@ -32,6 +32,7 @@ from slbench.core.validation.types import (
     MAX_PIXELS,
     Angle,
     Blur,
+    Count,
     Distortion,
     Fraction,
     Measure,
@@ -40,7 +41,7 @@ from slbench.core.validation.types import (
     Pixels,
     Size,
 )
-from slbench.core.validation.values import Value
+from slbench.core.validation.values import Value, checked
 from slbench.rig.distortion import (
     apply_homography,
     distort,
@@ -320,7 +321,8 @@ class Device(Value):
         Parameters
         ----------
         circle_px : float
-            Acceptable circle of confusion in pixels.
+            Acceptable circle of confusion in pixels, of a lens without diffraction and blur; see
+            :meth:`slbench.rig.spread.Spread.circle`.
 
         Returns
         -------
@@ -335,7 +337,7 @@ class Device(Value):
         )
         if a == 0:
             return 0.0, np.inf
-        reach = circle_px * self.pitch_mm[0] / (2.0 * a * c)
+        reach = self.spread.circle(circle_px) * self.pitch_mm[0] / (2.0 * a * c)
         if self.lens.kind == "telecentric":
             return max(0.0, s - reach * s * s), s + reach * s * s
         near = 1.0 / (1.0 / s + reach)
@@ -404,10 +406,11 @@ class Camera(Device):
                 "an aperture (f_number) for an absolute exposure",
                 "a pinhole",
             )
-        area = self.fill_factor * self.pitch_mm[0] * self.pitch_mm[1]
-        return np.pi / (4.0 * number**2) * area
+        area = np.pi / (4.0 * number**2) * self.pitch_mm[0] * self.pitch_mm[1]
+        return float(area * self.fill_factor)
 
-    def coarser(self, divisor: int) -> Self:
+    @checked
+    def coarser(self, divisor: Count) -> Self:
         """Return the camera with pixels of `divisor` times the pitch, the same instrument.
 
         A pixel keeps its electrons: of its area as much is photosensitive as before, so that its

@@ -55,6 +55,19 @@ _PER_PERIOD = 2.3
 _LARGE = 60.0
 
 
+@lru_cache(maxsize=64)
+def _rule(count: int) -> tuple[Array, Array]:
+    from scipy.special import roots_legendre
+
+    nodes, weights = roots_legendre(count)
+    return nodes, weights
+
+
+def _gauss(count: float) -> tuple[Array, Array]:
+    """Return nodes and weights of a Gauss-Legendre rule on [-1, 1] of at least so many nodes."""
+    return _rule(32 * -(-int(count) // 32))
+
+
 def hopkins(frequency: ArrayLike, defocus_waves: ArrayLike) -> Array:
     """Return the transfer function of a defocused circular pupil.
 
@@ -76,7 +89,7 @@ def hopkins(frequency: ArrayLike, defocus_waves: ArrayLike) -> Array:
     # With x = L sin(t)^2 both ends of the integrand are smooth in t.
     length = np.clip(1.0 - s / 2.0, 0.0, None)
     most = 4.0 * float(np.max(np.abs(w), initial=0.0)) * 0.5  # periods of the cosine at most
-    nodes, weights = np.polynomial.legendre.leggauss(int(24 + _PER_PERIOD * most))
+    nodes, weights = _gauss(24 + _PER_PERIOD * most)
     t = 0.25 * np.pi * (nodes + 1.0)
     share, slope = np.sin(t) ** 2, 0.5 * np.pi * weights * np.sin(t) * np.cos(t)
     result = np.zeros(s.shape)
@@ -156,17 +169,24 @@ class Spread:
         """
         circle = np.asarray(circle_px, dtype=np.float64)
         disc = 0.5 * np.abs(np.nan_to_num(circle))
-        table = self.rings()
-        rows, places = table.values.shape
-        share = disc / (disc + table.edge)
-        place = np.sqrt(energy) * (places - 1)
-        low = min(int(place), places - 2)
-        column = table.values[:, low] + (place - low) * (
-            table.values[:, low + 1] - table.values[:, low]
-        )
-        scaled = np.interp(share * (rows - 1), np.arange(rows), column)
-        result: Array = scaled * (disc + table.edge) / (1.0 - energy + RING_SOFTENING)
+        shares, radii = _radii(self, energy)
+        reach = disc + self.edge
+        result: Array = np.interp(disc / reach, shares, radii) * reach
         return np.where(np.isfinite(circle), result, np.nan)
+
+    def circle(self, circle_px: float) -> float:
+        """Return the circle of confusion that is as acceptable here as one without other spread.
+
+        In focus there is some spread already.  Defocus is taken to be acceptable while it adds to
+        it no more than an acceptable disc would, in quadrature of the radii that hold half the
+        light.  Diffraction forgives some defocus: its spread hardly grows at first.
+
+        Parameters
+        ----------
+        circle_px : float
+            Acceptable circle of confusion of geometric optics.
+        """
+        return _circle(self, circle_px)
 
     def lines(self) -> Table:
         """Return the share of the light between the middle and a place along an axis.
@@ -182,14 +202,6 @@ class Spread:
         radius grows as ``1 / (1 - e)``.
         """
         return _rings(self)
-
-    def quadrants(self) -> Table:
-        """Return the share of the light between the middle and a corner, flattened.
-
-        Columns are places along one axis times places along the other, from 0 in the middle to
-        1/4 at the far corner.
-        """
-        return _quadrants(self)
 
 
 #: Keeps radii by enclosed energy finite at the very end.
@@ -219,7 +231,7 @@ def _frequencies(spread: Spread, reach: float) -> tuple[Array, Array]:
         last = 2.0 / spread.diffraction_px
     if spread.blur_px > 0:
         last = min(last, 1.2 / spread.blur_px)
-    nodes, weights = np.polynomial.legendre.leggauss(int(32 + _PER_PERIOD * last * reach))
+    nodes, weights = _gauss(32 + _PER_PERIOD * last * reach)
     return 0.5 * last * (nodes + 1.0), 0.5 * last * weights
 
 
@@ -264,8 +276,6 @@ def _lines(spread: Spread) -> Table:
 
 @lru_cache(maxsize=16)
 def _rings(spread: Spread) -> Table:
-    from scipy.special import j1
-
     edge = spread.edge
     energy = (np.arange(_PLACES) / (_PLACES - 1)) ** 2
     coarse = np.empty((_ROWS, _PLACES))
@@ -282,18 +292,52 @@ def _rings(spread: Spread) -> Table:
             near = np.linspace(0.0, disc + edge, _PLACES)
             far = np.geomspace(disc + edge, disc + max(tail, edge * 1.01), _PLACES // 4)[1:]
             r = np.concatenate((near, far))
-            nu, step = _frequencies(spread, r[-1])
-            enclosed = (
-                2.0
-                * np.pi
-                * r
-                * (j1(2.0 * np.pi * np.outer(r, nu)) @ (spread.contrast(nu, 2.0 * disc) * step))
-            )
-            enclosed = np.maximum.accumulate(np.clip(enclosed, 0.0, None))
+            enclosed = _enclosed(spread, disc, r)
             enclosed /= enclosed[-1]
             radius = _inverse(enclosed, r, energy)
         coarse[row] = radius / (disc + edge) * (1.0 - energy + RING_SOFTENING)
     return Table(_finer(coarse, _FINE_ROWS), edge)
+
+
+@lru_cache(maxsize=64)
+def _radii(spread: Spread, energy: float) -> tuple[Array, Array]:
+    """Return shares of defocus in the reach, and radii of an enclosed energy over the reach."""
+    edge = spread.edge
+    scaled = [_radius(spread, disc, energy) / (disc + edge) for disc in _discs(edge, _ROWS)]
+    return np.arange(_ROWS) / (_ROWS - 1), np.array([*scaled, np.sqrt(energy)])
+
+
+def _radius(spread: Spread, disc: float, energy: float) -> float:
+    """Return the radius of an enclosed energy for a disc's radius."""
+    none = spread.diffraction_px == 0 and spread.blur_px == 0
+    if none or _soft(spread, disc) is not None:
+        return float(np.sqrt(energy)) * disc
+    places = np.linspace(0.0, disc + spread.edge, _PLACES)
+    return float(np.sqrt(np.interp(energy, _enclosed(spread, disc, places), places**2)))
+
+
+@lru_cache(maxsize=64)
+def _circle(spread: Spread, circle_px: float) -> float:
+    rest = _radius(spread, 0.0, 0.5)
+    if rest <= _LEAST:
+        return circle_px
+    wanted = float(np.hypot(circle_px / np.sqrt(8.0), rest))
+    low, high = 0.0, 4.0 * (circle_px + spread.edge)
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        grown = _radius(spread, 0.5 * middle, 0.5) >= wanted
+        low, high = (low, middle) if grown else (middle, high)
+    return low
+
+
+def _enclosed(spread: Spread, disc: float, radius: Array) -> Array:
+    """Return the light within radii: ``2 pi r int OTF(nu) J1(2 pi nu r) d nu``."""
+    from scipy.special import j1
+
+    nu, step = _frequencies(spread, radius[-1])
+    waves = j1(2.0 * np.pi * np.outer(radius, nu)) @ (spread.contrast(nu, 2.0 * disc) * step)
+    result: Array = np.maximum.accumulate(np.clip(2.0 * np.pi * radius * waves, 0.0, 1.0))
+    return result
 
 
 def _inverse(enclosed: Array, radius: Array, energy: Array) -> Array:
@@ -302,33 +346,6 @@ def _inverse(enclosed: Array, radius: Array, energy: Array) -> Array:
     squares = np.interp(energy, enclosed[rising], radius[rising] ** 2)
     result: Array = np.sqrt(squares)
     return result
-
-
-@lru_cache(maxsize=4)
-def _quadrants(spread: Spread) -> Table:
-    places, fine = 64, 4
-    coarse = np.empty((_ROWS, places * places))
-    # Cells of a quadrant, each sampled by fine x fine radii.
-    middles = (np.arange((places - 1) * fine) + 0.5) / ((places - 1) * fine)
-    radii = np.hypot(middles[:, None], middles[None, :])
-    rings = _rings(spread).values
-    energy = (np.arange(_PLACES) / (_PLACES - 1)) ** 2
-    picked = np.linspace(0, len(rings) - 1, _ROWS)
-    for row, at in enumerate(picked):
-        radius = rings[round(at)].astype(np.float64) / (1.0 - energy + RING_SOFTENING)
-        if radius[-1] == 0.0:
-            radius = np.sqrt(energy)
-        rising = np.concatenate(([True], np.diff(radius) > 1e-9))
-        # Mean density of thin rings: the slope of energy over area.
-        edges = np.linspace(0.0, 1.5, 4 * places)
-        inside = np.interp(edges, radius[rising], energy[rising])
-        density = np.diff(inside) / np.diff(edges**2)
-        light = density[np.minimum((radii / 1.5 * (4 * places - 1)).astype(int), density.size - 1)]
-        cells = light.reshape(places - 1, fine, places - 1, fine).sum(axis=(1, 3))
-        table = np.zeros((places, places))
-        table[1:, 1:] = np.cumsum(np.cumsum(cells, axis=0), axis=1)
-        coarse[row] = (0.25 * table / table[-1, -1]).ravel()
-    return Table(_finer(coarse, _ROWS), spread.edge)
 
 
 def _finer(coarse: Array, rows: int) -> NDArray[np.float32]:

@@ -185,6 +185,6 @@ class Scene(Value):
         It is the same instrument: what is stated a pixel is carried over, so that errors in
         millimetres and completeness are those of the full scene, within what larger pixels see.
         """
+        cameras = {name: one.coarser(divisor) for name, one in self.rig.cameras.items()}
         exposure = replace(self.exposure, vibration_px=self.exposure.vibration_px / divisor)
-        camera = self.rig.camera.coarser(divisor)
-        return replace(self, rig=self.rig.having(camera=camera), exposure=exposure, samples=samples)
+        return replace(self, rig=self.rig.having(**cameras), exposure=exposure, samples=samples)

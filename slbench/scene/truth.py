@@ -60,6 +60,9 @@ class GroundTruth:
         Index of the object in the scene.
     camera_coc, projector_coc : (V, U) float
         Circle of confusion of camera and projector, in their own pixels.
+    camera_spread, projector_spread : (V, U) float
+        Radius that holds half of a point's light, by defocus, diffraction and blur together, in
+        their own pixels.  A disc of diameter ``c`` has ``c / sqrt(8)``.
     """
 
     point: Array
@@ -70,6 +73,8 @@ class GroundTruth:
     object_id: NDArray[np.int32]
     camera_coc: Array
     projector_coc: Array
+    camera_spread: Array
+    projector_spread: Array
 
     def __repr__(self) -> str:
         rows, columns = self.status.shape
@@ -150,6 +155,8 @@ class GroundTruth:
             channels[f"panel.{name}"] = self.panel[..., k].astype(np.float32)
         channels["coc.camera"] = self.camera_coc.astype(np.float32)
         channels["coc.projector"] = self.projector_coc.astype(np.float32)
+        channels["spread.camera"] = self.camera_spread.astype(np.float32)
+        channels["spread.projector"] = self.projector_spread.astype(np.float32)
         return channels
 
     def _kept_axis(self, camera: Camera) -> int | None:
@@ -200,11 +207,19 @@ class GroundTruth:
                 rows, columns = coordinate.shape
                 expected = f"the camera's {camera.width} x {camera.height} px"
                 raise InputError(path, expected, f"{columns} x {rows} px")
-            point, depth, panel, camera_coc, projector_coc = _completed(rig, kept[0], coordinate)
+            point, depth, panel, *circles = _completed(rig, kept[0], coordinate)
+            spreads = [
+                device.spread.radius(circle)
+                for device, circle in zip((camera, rig.projector), circles, strict=True)
+            ]
         else:
             point, depth = stack("point", _AXES), channel("depth.Z")
             panel = stack("panel", "uv")
-            camera_coc, projector_coc = channel("coc.camera"), channel("coc.projector")
+            circles = [channel("coc.camera"), channel("coc.projector")]
+            # Files from before there was more than defocus are of discs.
+            spreads = [circle / np.sqrt(8.0) for circle in circles]
+            if "spread.camera" in channels:
+                spreads = [channel("spread.camera"), channel("spread.projector")]
         return cls(
             point=point,
             normal=stack("normal", _AXES),
@@ -212,8 +227,10 @@ class GroundTruth:
             panel=panel,
             status=channel("status").astype(np.uint8),
             object_id=channel("object").astype(np.int32) - 1,
-            camera_coc=camera_coc,
-            projector_coc=projector_coc,
+            camera_coc=circles[0],
+            projector_coc=circles[1],
+            camera_spread=spreads[0],
+            projector_spread=spreads[1],
         )
 
 

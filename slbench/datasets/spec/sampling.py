@@ -8,7 +8,7 @@ complete and loads like any other.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +121,9 @@ def _coarsen(table: dict[str, Any], width: int, settings: Mapping[str, Any]) -> 
     samples = settings.get("samples", _PREVIEW_SAMPLES)
     table["render"] = {**table.get("render", {}), "samples": samples}
     divisor = int(settings.get("divisor") or max(1, -(-width // _PREVIEW_WIDTH)))
+    if "vibration_px" in table.get("exposure", {}):
+        shaken = table["exposure"]["vibration_px"] / divisor
+        table["exposure"] = {**table["exposure"], "vibration_px": shaken}
     camera = table.get("camera")
     if camera is None:
         return divisor
@@ -133,9 +136,6 @@ def _coarsen(table: dict[str, Any], width: int, settings: Mapping[str, Any]) -> 
     camera["principal_point_px"] = [(u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5]
     camera["blur_px"] = camera.get("blur_px", 0.0) / divisor
     camera["fill_factor"] = camera.get("fill_factor", 1.0) / divisor**2
-    if "vibration_px" in table.get("exposure", {}):
-        table["exposure"] = dict(table["exposure"])
-        table["exposure"]["vibration_px"] /= divisor
     return divisor
 
 
@@ -183,7 +183,8 @@ def _placed(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool
     write_toml(folder / SCENE, table)
     scene = load_scene(folder / SCENE, allow_modules=True)
     if from_file and preview:
-        scene = scene.coarser(divisor, scene.samples)
+        # The table's vibration is in the coarse pixels already.
+        scene = replace(scene.coarser(divisor, scene.samples), exposure=scene.exposure)
     write_rig(folder / RIG, scene.rig)
     return scene
 

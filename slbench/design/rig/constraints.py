@@ -326,7 +326,7 @@ def _constant(device: Device, circle_px: float, moves: bool) -> tuple[Array, ...
             lens.focal_length_mm,
             lens.defocusing_radius_mm,
             lens.focus_distance_mm,
-            circle_px * device.pitch_mm[0],
+            device.spread.circle(circle_px) * device.pitch_mm[0],
             moves,
             telecentric,
         ],

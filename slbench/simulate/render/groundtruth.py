@@ -55,6 +55,8 @@ def ground_truth(objects: tuple[SceneObject, ...], rig: Rig) -> GroundTruth:
         object_id=np.full(shape, -1, np.int32),
         camera_coc=np.full(shape, np.nan),
         projector_coc=np.full(shape, np.nan),
+        camera_spread=np.full(shape, np.nan),
+        projector_spread=np.full(shape, np.nan),
     )
     rays = _Rays(objects, rig)
     step = max(1, _PIXELS_PER_PASS // camera.width)
@@ -105,6 +107,8 @@ class _Rays:
         truth.object_id[rows] = ids.reshape(size)
         truth.camera_coc[rows] = self.camera.circle_of_confusion(point).reshape(size)
         truth.projector_coc[rows] = self.projector.circle_of_confusion(point).reshape(size)
+        truth.camera_spread[rows] = self.camera.spread.radius(truth.camera_coc[rows])
+        truth.projector_spread[rows] = self.projector.spread.radius(truth.projector_coc[rows])
 
     def _hit_triangles(
         self, origins: Array, directions: Array

@@ -148,7 +148,7 @@ def variations(
         See :func:`error_budget`.
     """
     base, real = ideal(scene), detector_of(scene)
-    scale = _BOTTOMLESS / real.full_well_e
+    scale = _BOTTOMLESS / real.saturation_e
     fine = detector_of(base)
 
     def seen(**changes: Any) -> Scene:
@@ -158,7 +158,7 @@ def variations(
         projector = replace(base.rig.projector, **changes)
         return replace(base, rig=base.rig.having(projector=projector))
 
-    shot = seen(full_well_e=real.full_well_e)
+    shot = seen(full_well_e=real.saturation_e)
     still = replace(base.exposure, vibration_px=vibration_px)
     linear = replace(scene.rig.projector, bit_depth=None, gamma=1.0)
     open_lenses = replace(base, rig=scene.rig.having(projector=linear))
