@@ -7,9 +7,10 @@ sum is the row, their difference its Monte Carlo error.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -28,8 +29,8 @@ _LEAST = 1 << 12
 _INSERTED = 32
 #: Entries that 32 bits count.
 _MOST_INT32 = np.iinfo(np.int32).max
-#: Entries of the temporaries that samples are merged in: 25 MB.
-_TEMPORARY = 1 << 21
+#: Entries that a thread merges before it packs them: they stay in the cache.
+_TEMPORARY = 1 << 16
 #: Points that stand for a footprint in two dimensions, on a spiral of equal shares: two a panel
 #: pixel of its area, within limits.
 _LEAST_POINTS, _MOST_POINTS = 16, 512
@@ -175,8 +176,12 @@ class LineRows:
         ends = (*self.across.spread.lines(), self.across.size)
         kept = (grids.first, grids.spacing, grids.nodes, grids.sharp, self.levels.scale, stride)
 
-        def merge(first: int, last: int, out: _Block) -> None:
-            lanes = (given.weights, *own, *other, given.share, given.bounce)
+        def merge(first: int, last: int, out: _Scratch) -> None:
+            # NumPy's logarithm works on many numbers at a time.
+            scaled = circles[first:last] / np.float32(self.levels.scale)
+            scaled = np.log(scaled + np.sqrt(scaled * scaled + np.float32(1.0)))
+            levels = (scaled / np.float32(STEP) + np.float32(0.5)).astype(np.uint16)
+            lanes = (given.weights, *own, levels, *other, given.share, given.bounce)
             _merge_lines(*lanes, *ends, *kept, *out, first, last)
 
         block = _merged(merge, given.weights.shape, 3, count * stride)
@@ -225,7 +230,7 @@ class PointRows:
         width, height = self.panel
         kept = (rings.values, rings.edge, rest, self.aspect, width, height)
 
-        def merge(first: int, last: int, out: _Block) -> None:
+        def merge(first: int, last: int, out: _Scratch) -> None:
             _merge_points(*lanes, *kept, *out, first, last)
 
         self.blocks.append(_merged(merge, given.weights.shape, points, width * height))
@@ -235,53 +240,54 @@ class PointRows:
         return SparseRows.concatenate(self.blocks)
 
 
-class _Block(NamedTuple):
-    """Merged samples of a few pixels: (pixels, most) each, and how many there are."""
+class _Scratch(NamedTuple):
+    """Where a thread adds up a few pixels.
+
+    Keys, sums and differences are (pixels, most), and ``counts`` says how many there are.
+    ``added`` has a sum and a difference a key, and ``owner`` the pixel whose they are.
+    """
 
     keys: NDArray[np.uint32]
     sums: NDArray[np.float32]
     differences: NDArray[np.float32]
     counts: NDArray[np.int32]
-    start: int
-    width: int
+    added: NDArray[np.float32]
+    owner: NDArray[np.int32]
 
 
 def _merged(
-    merge: Callable[[int, int, _Block], None], shape: tuple[int, ...], each: int, width: int
+    merge: Callable[[int, int, _Scratch], None], shape: tuple[int, ...], each: int, width: int
 ) -> SparseRows:
-    """Merge samples (pixels, samples) of `each` entries into rows, a few pixels at a time."""
+    """Merge samples (pixels, samples) of `each` entries into rows, a few pixels at a time.
+
+    ``merge(first, last, scratch)`` adds up pixels first to last.
+    """
     pixels, most = shape[0], max(1, shape[1] * each)
     step = max(1, min(pixels, _TEMPORARY // most))
-    keys = np.empty((step, most), np.uint32)
-    sums, differences = np.empty((step, most), np.float32), np.empty((step, most), np.float32)
     counts = np.zeros(pixels, np.int32)
-    parts: list[tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.float32]]] = []
-    for start in range(0, pixels, step):
-        stop = min(start + step, pixels)
-        block = _Block(keys, sums, differences, counts, start, width)
-        in_bands(
-            lambda a, b, block=block, start=start: merge(start + a, start + b, block),  # type: ignore[misc]
-            stop - start,
-            _LEAST,
+    parts: dict[int, tuple[NDArray[Any], ...]] = {}
+
+    def work(first: int, last: int) -> None:
+        scratch = _Scratch(
+            keys=np.empty((step, most), np.uint32),
+            sums=np.empty((step, most), np.float32),
+            differences=np.empty((step, most), np.float32),
+            counts=np.empty(step, np.int32),
+            added=np.empty((width, 2), np.float32),
+            owner=np.full(width, -1, np.int32),
         )
-        ends = row_starts(counts[start:stop])
-        packed = (
-            np.empty(ends[-1], np.uint32),
-            np.empty(ends[-1], np.float32),
-            np.empty(ends[-1], np.float32),
-        )
-        in_bands(
-            lambda a, b, ends=ends, packed=packed: _pack(  # type: ignore[misc]
-                keys, sums, differences, ends, *packed, a, b
-            ),
-            stop - start,
-            _LEAST,
-        )
-        parts.append(packed)
-    if len(parts) == 1:
-        indices, data, halves = parts[0]
-    else:
-        indices, data, halves = (np.concatenate(each) for each in zip(*parts, strict=True))
+        for start in range(first, last, step):
+            stop = min(start + step, last)
+            merge(start, stop, scratch)
+            counts[start:stop] = scratch.counts[: stop - start]
+            ends = row_starts(counts[start:stop])
+            kinds = (np.uint32, np.float32, np.float32)
+            parts[start] = tuple(np.empty(ends[-1], kind) for kind in kinds)
+            _pack(*scratch[:3], ends, *parts[start])
+
+    in_bands(work, pixels, _LEAST)
+    ordered = [parts[start] for start in sorted(parts)]
+    indices, data, halves = (np.concatenate(each) for each in zip(*ordered, strict=True))
     return SparseRows(row_starts(counts), indices, data, width, differences=halves)
 
 
@@ -306,13 +312,11 @@ def _sort(keys, n):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _finish(keys, n, sums, differences, row, odd, seen):  # type: ignore[no-untyped-def]
-    """Sort a pixel's keys, fetch their sums, and clear what was used."""
+def _finish(keys, n, sums, differences, added):  # type: ignore[no-untyped-def]
+    """Sort a pixel's keys and fetch their sums."""
     _sort(keys, n)
     for i in range(n):
-        key = keys[i]
-        sums[i], differences[i] = row[key], odd[key]
-        row[key], odd[key], seen[key] = np.float32(0), np.float32(0), False
+        sums[i], differences[i] = added[keys[i], 0], added[keys[i], 1]
 
 
 @njit(cache=True, nogil=True)
@@ -325,33 +329,38 @@ def _points(circle, rest):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _whole(weights):  # type: ignore[no-untyped-def]
+def _whole(weights, first, last):  # type: ignore[no-untyped-def]
     """Return whether a pixel sees all of the lens in one bounce, as far as it was looked at."""
-    return weights.min() >= 0.0
+    least = np.float32(0)
+    for s in range(first, last):
+        least = min(least, weights[s])
+    return least >= np.float32(0)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _merge_lines(  # type: ignore[no-untyped-def]
-    weights, places, shifts, circles, across, shifts_across, circles_across, share, bounce,
+    weights, places, shifts, circles, levels, across, shifts_across, circles_across, share, bounce,
     lines, edge, size, origin, spacing, nodes, sharp, scale, stride,
-    keys, sums, differences, counts, start, width, first, last,
+    keys, sums, differences, counts, added, owner, first, last,
 ):  # fmt: skip
     """Add footprints along an axis up: a quadratic between three nodes of a level."""
-    row, odd = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    seen = np.zeros(width, np.bool_)
     parts = np.empty(3, np.float32)
     for p in range(first, last):
-        own, n, whole = keys[p - start], 0, True
+        own, n, whole = keys[p - first], 0, True
+        number = bounce
         for s in range(weights.shape[1]):
-            if s % bounce == 0:
-                whole = _whole(weights[p, s : s + bounce])
+            number += 1
+            if number >= bounce:
+                number, whole = 0, _whole(weights[p], s, s + bounce)
             weight = weights[p, s]
             if weight <= 0.0:
                 continue
-            circle, place = circles[p, s], places[p, s]
+            level, place = int(levels[p - first, s]), places[p, s]
             circle_across, place_across = circles_across[p, s], across[p, s]
             if not whole:
-                circle, place = circle * share, place + shifts[p, s]
+                x = circles[p, s] * share / scale
+                level = int(math.log(x + math.sqrt(x * x + 1.0)) / STEP + 0.5)
+                place += shifts[p, s]
                 circle_across *= share
                 place_across += shifts_across[p, s]
             reach = circle_across + edge
@@ -363,9 +372,8 @@ def _merge_lines(  # type: ignore[no-untyped-def]
                 weight *= np.float32(inside)
                 if weight <= 0.0:
                     continue
-            level = int(np.arcsinh(circle / scale) / STEP + 0.5)
             at = (place - origin[level]) / spacing[level]
-            middle = int(np.floor(at + 0.5))
+            middle = math.floor(at + 0.5)
             if sharp[level]:
                 low, high = middle, middle + 1
                 parts[0] = 1.0
@@ -375,33 +383,32 @@ def _merge_lines(  # type: ignore[no-untyped-def]
                 parts[0], parts[1], parts[2] = 0.5 * q * (q - 1.0), 1.0 - q * q, 0.5 * q * (q + 1.0)
             if low < 0 or high > nodes[level]:
                 continue
-            half = weight if s % bounce < bounce // 2 else -weight
+            half = weight if 2 * number < bounce else -weight
             for k in range(low, high):
                 key = level * stride + k
-                if not seen[key]:
-                    seen[key] = True
+                if owner[key] != p:
+                    owner[key] = p
+                    added[key, 0] = added[key, 1] = np.float32(0)
                     own[n] = key
                     n += 1
-                row[key] += weight * parts[k - low]
-                odd[key] += half * parts[k - low]
-        _finish(own, n, sums[p - start], differences[p - start], row, odd, seen)
-        counts[p] = n
+                added[key, 0] += weight * parts[k - low]
+                added[key, 1] += half * parts[k - low]
+        _finish(own, n, sums[p - first], differences[p - first], added)
+        counts[p - first] = n
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _merge_points(  # type: ignore[no-untyped-def]
     weights, u, v, shift_u, shift_v, circles, share, bounce,
     rings, edge, rest, aspect, columns, lines,
-    keys, sums, differences, counts, start, width, first, last,
+    keys, sums, differences, counts, added, owner, first, last,
 ):  # fmt: skip
     """Add footprints in two dimensions up: points of equal shares on a turned spiral."""
-    row, odd = np.zeros(width, np.float32), np.zeros(width, np.float32)
-    seen = np.zeros(width, np.bool_)
     for p in range(first, last):
-        own, n, whole = keys[p - start], 0, True
+        own, n, whole = keys[p - first], 0, True
         for s in range(weights.shape[1]):
             if s % bounce == 0:
-                whole = _whole(weights[p, s : s + bounce])
+                whole = _whole(weights[p], s, s + bounce)
             if weights[p, s] <= 0.0:
                 continue
             circle, u0, v0 = circles[p, s], u[p, s], v[p, s]
@@ -429,19 +436,20 @@ def _merge_points(  # type: ignore[no-untyped-def]
                 if column < 0 or line < 0 or column >= columns or line >= lines:
                     continue
                 key = line * columns + column
-                if not seen[key]:
-                    seen[key] = True
+                if owner[key] != p:
+                    owner[key] = p
+                    added[key, 0] = added[key, 1] = np.float32(0)
                     own[n] = key
                     n += 1
-                row[key] += weight
-                odd[key] += half
-        _finish(own, n, sums[p - start], differences[p - start], row, odd, seen)
-        counts[p] = n
+                added[key, 0] += weight
+                added[key, 1] += half
+        _finish(own, n, sums[p - first], differences[p - first], added)
+        counts[p - first] = n
 
 
 @njit(cache=True, nogil=True)
-def _pack(keys, sums, differences, ends, indices, data, halves, first, last):  # type: ignore[no-untyped-def]
-    for p in range(first, last):
+def _pack(keys, sums, differences, ends, indices, data, halves):  # type: ignore[no-untyped-def]
+    for p in range(ends.size - 1):
         start = ends[p]
         for i in range(ends[p + 1] - start):
             indices[start + i] = keys[p, i]

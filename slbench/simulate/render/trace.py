@@ -32,7 +32,7 @@ from slbench.rig.spread import Spread
 from slbench.scene.model import Light, SceneObject
 from slbench.simulate.footprints import Levels
 from slbench.simulate.render.mitsuba import dr, mi
-from slbench.simulate.render.plugins.camera import camera_ray
+from slbench.simulate.render.plugins.camera import seen_circle, spread_ray
 from slbench.simulate.render.plugins.optics import PanelOptics, opaque, opaque_transform
 from slbench.simulate.render.strata import Strata
 from slbench.simulate.render.translate import geometry, pose_matrix
@@ -204,9 +204,10 @@ class _Tracer:
         column = pixel - row * dr.opaque(mi.UInt32, self.width)
         position = mi.Point2f(mi.Float(column), mi.Float(row)) + sampler.next_2d() - 0.5
         lens = sampler.next_2d() if self.camera.needs_lens_sample else mi.Point2f(0.5)
-        origin, direction = camera_ray(
-            self.camera, self.camera_to_world, self.geometry, position, self.camera.disk(lens)
-        )
+        circle = mi.Float(0.0)
+        if self.camera.rings is not None and self.camera.aperture is not None:
+            circle = seen_circle(self.camera, self.camera_to_world, self.geometry, position)
+        origin, direction = spread_ray(self.camera, position, self.camera.disk(lens), circle)
         ray = mi.RayDifferential3f(
             mi.Ray3f(self.camera_to_world @ origin, self.camera_to_world @ direction)
         )
@@ -256,4 +257,5 @@ class _Tracer:
         zone = place * math.sqrt(1.0 - 1.0 / self.pairs)
         shift = along_x * zone.x + along_y * zone.y
         circles = dr.sqrt(along_x * along_x + along_y * along_y)
-        return _Hit(weight, chief, shift, circles)
+        # What is not lit may lie where a lens is not defined.
+        return _Hit(weight, *(dr.select(active, part, 0.0) for part in (chief, shift, circles)))

@@ -25,34 +25,39 @@ from slbench.simulate.render.plugins.optics import (
 )
 
 
-def camera_ray(
-    optics: PanelOptics, to_world: Any, geometry: Any, pixel: mi.Point2f, place: mi.Point2f
+def seen_circle(optics: PanelOptics, to_world: Any, geometry: Any, pixel: mi.Point2f) -> mi.Float:
+    """Return the signed radius of the circle of confusion of what a pixel position sees, px.
+
+    Parameters
+    ----------
+    optics : PanelOptics
+    to_world : transform from device to world coordinates
+    geometry : mi.Scene
+    pixel : position on the sensor, whose chief ray is followed
+    """
+    origin, direction = optics.ray(pixel, mi.Point2f(0.0))
+    hit = geometry.ray_intersect_preliminary(mi.Ray3f(to_world @ origin, to_world @ direction))
+    point = origin + direction * dr.select(hit.is_valid(), hit.t, 0.0)
+    return dr.select(hit.is_valid(), optics.circle(point), 0.0)
+
+
+def spread_ray(
+    optics: PanelOptics, pixel: mi.Point2f, place: mi.Point2f, circle: mi.Float
 ) -> tuple[mi.Point3f, mi.Vector3f]:
     """Return the ray of a pixel position through a place of the lens, its spread included.
 
     Parameters
     ----------
     optics : PanelOptics
-    to_world : transform from device to world coordinates
-    geometry : mi.Scene or None
-        Objects that tell how far from focus the pixel's chief ray ends.
     pixel : position on the sensor
     place : on the unit disc, which the pupil fills
+    circle : signed radius of the circle of confusion of what is seen, px
 
     Returns
     -------
     origin, direction : in device coordinates
     """
-    if optics.rings is not None:
-        circle = mi.Float(0.0)
-        if optics.aperture is not None and geometry is not None:
-            origin, direction = optics.ray(pixel, mi.Point2f(0.0))
-            chief = mi.Ray3f(to_world @ origin, to_world @ direction)
-            hit = geometry.ray_intersect_preliminary(chief)
-            point = origin + direction * dr.select(hit.is_valid(), hit.t, 0.0)
-            circle = dr.select(hit.is_valid(), optics.circle(point), 0.0)
-        pixel = pixel + optics.spread_beyond(place, circle)
-    return optics.ray(pixel, place)
+    return optics.ray(pixel + optics.spread_beyond(place, circle), place)
 
 
 class SlbenchCamera(mi.Sensor):
@@ -72,8 +77,13 @@ class SlbenchCamera(mi.Sensor):
     def _ray(self, position_sample: mi.Point2f, aperture_sample: mi.Point2f) -> tuple[Any, Any]:
         # Mitsuba's film has pixel corners at integers, we have centres there.
         pixel = mi.Point2f(position_sample * self.crop_size + self.crop_offset - 0.5)
-        origin, direction = camera_ray(
-            self.optics, self.to_world, self.geometry, pixel, self.optics.disk(aperture_sample)
+        circle = mi.Float(0.0)
+        if self.geometry is not None:
+            circle = seen_circle(self.optics, self.to_world, self.geometry, pixel)
+            # A kernel follows rays through one scene, and this is not the one that is rendered.
+            dr.eval(circle)
+        origin, direction = spread_ray(
+            self.optics, pixel, self.optics.disk(aperture_sample), circle
         )
         return self.to_world @ origin, self.to_world @ direction
 
