@@ -86,8 +86,8 @@ def test_settings_change_the_focus_and_nothing_else():
         np.testing.assert_array_equal(before.project(points), after.project(points))
         assert before.lens.aperture_radius_mm == after.lens.aperture_radius_mm
     sharp = scene.all_in_focus()
-    assert sharp.rig.camera.lens.aperture_radius_mm == 0
-    assert sharp.rig.projector.lens.aperture_radius_mm == 0
+    assert sharp.rig.camera.lens.defocusing_radius_mm == 0
+    assert sharp.rig.projector.lens.defocusing_radius_mm == 0
     with pytest.raises(InputError, match=r"focus setting: expected 0\.\.1, got 2"):
         scene.focused(2)
 
@@ -367,9 +367,10 @@ def test_every_way_to_fuse_against_the_all_in_focus_truth(speckled, full_well_e,
     }
     saf = found["saf"]
     assert min(saf.fused_inside.pixels, saf.fused_outside.pixels) > 10_000
-    # Measured 0.41 and 0.54 of the middle setting's phase error, 0.38 and 0.44 of intensity.
-    assert saf.fused_outside.phase_rms < 0.6 * saf.middle_outside.phase_rms
-    assert saf.fused_outside.intensity_rms < 0.5 * saf.middle_outside.intensity_rms
+    # Measured 0.81 and 0.45 of the middle setting's phase error, 0.70 of intensity: with
+    # diffraction defocus costs less, and the sharpest pictures are less sharp.
+    assert saf.fused_outside.phase_rms < 0.9 * saf.middle_outside.phase_rms
+    assert saf.fused_outside.intensity_rms < 0.8 * saf.middle_outside.intensity_rms
     for other in ("maximum", "pyramid"):
         assert saf.fused_outside.phase_rms < found[other].fused_outside.phase_rms
     # By modulation noise is least: the matched filter; its blur is more.

@@ -199,7 +199,7 @@ def test_defaults_are_the_classes_own(tmp_path):
     assert scene.detector == Detector()
     assert scene.light == Light()
     assert scene.exposure == Exposure()
-    assert scene.samples == 64
+    assert scene.samples == 16
     assert scene.sequence == PatternSequence.parse("1,10,50", (640, 480), 3, "u")
 
 

@@ -284,7 +284,7 @@ OTHER = {
         ["export", "plane", "x.xml", "--frame", "9", "--pinhole"],
         "0..8",
     ),
-    "export of what XML cannot say": (["export", "plane", "x.xml"], "projector"),
+    "export of what XML cannot say": (["export", "plane", "x.xml"], "diffraction"),
     "unknown option of all": (["--verbos"], "--verbos"),
 }
 

@@ -44,7 +44,7 @@ def test_failing_and_undecided(folder):
     outcome = run_cli("check", path, "--junit", folder / "report.xml")
     assert outcome.status == 1
     # Names are text, whatever they look like.
-    assert "false [red]: fails: smooth_rms_px.u = 0.06" in outcome.out
+    assert "false [red]: fails: smooth_rms_px.u = 0.0" in outcome.out
     suite = ElementTree.parse(folder / "report.xml").getroot()[0]
     assert suite.attrib["failures"] == "1"
 

@@ -22,7 +22,11 @@ def export(
     path: Annotated[Path, typer.Argument(help="The XML file to write.")],
     frame: Annotated[FrameIndex, typer.Option(help="Which frame of the scene's patterns.")] = 0,
     pinhole: Annotated[
-        bool, typer.Option(help="Replace the projector's lens by a pinhole without fall-off.")
+        bool,
+        typer.Option(
+            help="Replace the projector's lens by a pinhole without fall-off, and leave out "
+            "diffraction and blur, which stock plugins do not have."
+        ),
     ] = False,
     allow_modules: AllowModules = False,
 ) -> None:
@@ -37,9 +41,16 @@ def export(
     files_beside("export", path).check(path.parent, "path")
     loaded = load_scene(scene, allow_modules=allow_modules)
     if pinhole:
-        projector = loaded.rig.projector
-        lens = replace(projector.lens, aperture_radius_mm=0.0, natural_vignetting=False)
-        loaded = replace(loaded, rig=loaded.rig.having(projector=replace(projector, lens=lens)))
+        camera, projector = loaded.rig.camera, loaded.rig.projector
+        pinhole_lens = replace(projector.lens, aperture_radius_mm=0.0, natural_vignetting=False)
+        thin_lens = replace(camera.lens, wavelength_nm=0.0)
+        loaded = replace(
+            loaded,
+            rig=loaded.rig.having(
+                projector=replace(projector, lens=pinhole_lens, blur_px=0.0),
+                camera=replace(camera, lens=thin_lens, blur_px=0.0),
+            ),
+        )
     projector = loaded.rig.projector
     panel = panel_response(loaded.sequence.image(frame), projector.bit_depth, projector.gamma)
     for written in export_xml(loaded, path, panel):

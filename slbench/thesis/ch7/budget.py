@@ -1,12 +1,13 @@
 """The error budget of pattern sets: every source of error switched on alone.
 
-A scan without any: devices with pinholes, panel values that are neither quantised nor bent, a
-detector without noise whose grey levels are so fine that rounding does not matter, no other
-light, nothing that moves.  What is left then is the *floor*: the projector's square pixels, the
-camera pixel's footprint and the samples of the light transport.  To this, one source at a time
-is added:
+A scan without any: devices with pinholes (and so without defocus, diffraction and blur), panel
+values that are neither quantised nor bent, a detector without noise whose grey levels are so fine
+that rounding does not matter, no other light, nothing that moves.  What is left then is the
+*floor*: the projector's square pixels, the camera pixel's footprint and the samples of the light
+transport.  To this, one source at a time is added:
 
-- *random* sources differ from scan to scan: standard deviation over the repeats;
+- *random* sources differ from scan to scan: standard deviation over the repeats.  Lenses are among
+  them too: what they take of the modulation makes noise larger, that of finer fringes more;
 - *steady* ones do not: root mean square over the pixels of how far the mean height moves from
   that of the floor, and the errors of the step heights, where there are steps.
 
@@ -19,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 from slbench.bench.compare.compare import compare
 from slbench.bench.compare.comparison import Comparison, SetResult
 from slbench.detector.emva1288 import Detector
+from slbench.rig import Camera, Projector
 from slbench.scene.model import Light, Scene
 from slbench.scene.truth import GroundTruth, Status
 from slbench.simulate.stack import traced
@@ -37,6 +39,7 @@ from slbench.thesis.published import FINEST, SETS
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 Kind = Literal["random", "steady"]
+AnyDevice = TypeVar("AnyDevice", Camera, Projector)
 
 #: Electrons of a detector whose shot noise does not matter.
 _BOTTOMLESS = 1e12
@@ -110,14 +113,22 @@ def object_truth(truth: GroundTruth, index: int = 0) -> GroundTruth:
     return replace(truth, status=np.where(dark, np.uint8(Status.SHADOWED), truth.status))
 
 
+def _pinhole(device: AnyDevice) -> AnyDevice:
+    """Return a device whose lens spreads nothing."""
+    return replace(device, lens=replace(device.lens, aperture_radius_mm=0.0), blur_px=0.0)
+
+
 def ideal(scene: Scene) -> Scene:
     """Return the scene without any source of error that can be switched off."""
     still = replace(scene.exposure, vibration_px=0.0)
-    pinholes = scene.all_in_focus()
-    projector = replace(pinholes.rig.projector, bit_depth=None, gamma=1.0)
+    camera = _pinhole(scene.rig.camera)
+    projector = replace(_pinhole(scene.rig.projector), bit_depth=None, gamma=1.0)
     return replace(
-        pinholes,
-        rig=pinholes.rig.having(projector=projector),
+        scene,
+        rig=scene.rig.having(
+            camera=camera, projector=replace(projector, bit_depth=None, gamma=1.0)
+        ),
+        focus=None,
         detector=Detector(
             bit_depth=16,
             full_well_e=_BOTTOMLESS,
@@ -161,7 +172,7 @@ def variations(
     shot = seen(full_well_e=real.saturation_e)
     still = replace(base.exposure, vibration_px=vibration_px)
     linear = replace(scene.rig.projector, bit_depth=None, gamma=1.0)
-    open_lenses = replace(base, rig=scene.rig.having(projector=linear))
+    lenses = scene.rig.having(projector=linear)
     albedo = scene.objects[0].material.bsdf.model_dump()["albedo"]  # of a diffuse spray
     white = float(np.median(transport.white()[transport.white() > 0]))
     ambient = Light(ambient_w_per_mm2=_AMBIENT * math.pi * white / albedo)
@@ -170,7 +181,9 @@ def variations(
     return [
         Variation("floor: footprint, square panel pixels, samples", "steady", base),
         Variation("other samples of the light", "steady", base, "other samples"),
-        Variation("defocus (apertures)", "steady", open_lenses, "apertures"),
+        Variation(
+            "lenses (defocus, diffraction, blur)", "steady", replace(base, rig=lenses), "lenses"
+        ),
         Variation(f"panel of {bits} bit", "steady", shown(bit_depth=bits)),
         *(Variation(f"projector gamma {g}", "steady", shown(gamma=g)) for g in _GAMMAS),
         Variation(f"quantisation, {real.bit_depth} bit", "steady", seen(bit_depth=real.bit_depth)),
@@ -186,6 +199,14 @@ def variations(
             "bounces",
         ),
         Variation("shot noise", "random", shot, repeats=repeats),
+        # What lenses take of the modulation, finer fringes lose more of.
+        Variation(
+            "shot noise, modulation lost by lenses",
+            "random",
+            replace(shot, rig=lenses),
+            "lenses",
+            repeats,
+        ),
         Variation(
             "read noise", "random", seen(read_noise_e=real.read_noise_e * scale), repeats=repeats
         ),
@@ -202,7 +223,7 @@ def variations(
             replace(base, exposure=still),
             repeats=many,
         ),
-        Variation("everything in the scene", "random", scene, "apertures", repeats),
+        Variation("everything in the scene", "random", scene, "lenses", repeats),
     ]
 
 
@@ -238,7 +259,7 @@ def error_budget(
     Budget
     """
     chosen = variations(scene, transport, vibration_px=vibration_px, repeats=repeats)
-    lights: dict[str, tuple[LightTransport, ...]] = {"apertures": (transport,)}
+    lights: dict[str, tuple[LightTransport, ...]] = {"lenses": (transport,)}
     rows: list[Row] = []
     floor: Comparison | None = None
     for k, one in enumerate(chosen):

@@ -208,7 +208,7 @@ class TestChecking:
         (pilot,) = check(tmp_path, STEP | {"quantity": "step[2.5].deviation_mm", "max": 1.0})
         mean, spread = pilot.values.mean(), pilot.values.std(ddof=1)
         # Inside the interval of five repeats, which is 1.24 of these either way.
-        close = STEP | {"quantity": "step[2.5].deviation_mm", "max": float(mean + 1.1 * spread)}
+        close = STEP | {"quantity": "step[2.5].deviation_mm", "max": float(mean + 1.0 * spread)}
         pools = Pools()
         (open_,) = check(tmp_path, close, pools=pools)
         assert open_.outcome == "undecided"
@@ -216,8 +216,9 @@ class TestChecking:
         count = open_.verdict.decide
         assert f"about {count} repeats would decide" in open_.line()
         assert 5 < count < 60
-        # Repeats go on where they stopped.
-        (decided,) = check(tmp_path, close | {"repeats": count}, pools=pools)
+        # Repeats go on where they stopped.  The count is for the mean that was seen; twice as many
+        # leave room for the true one.
+        (decided,) = check(tmp_path, close | {"repeats": 2 * count}, pools=pools)
         assert np.array_equal(decided.values[:5], open_.values)
         assert decided.outcome != "undecided"
 

@@ -49,7 +49,7 @@ def test_one_item_a_claim_and_one_line_a_failure(folder):
     assert status == 1
     assert "3 failed, 1 passed" in printed
     assert "PASSED some.claims.toml::true" in printed
-    assert "fails: smooth_rms_px.u = 0.06" in printed
+    assert "fails: smooth_rms_px.u = 0.0" in printed
     assert "undecided: step[1].deviation_mm" in printed
     assert "repeats would decide" in printed
     assert 'claim "missing": quantity: expected' in printed

@@ -200,7 +200,7 @@ def test_rendered_grid_in_and_out_of_focus():
     """
     median, shift = {}, {}
     for z in (-0.25, 0.0, 0.25):
-        error, _ = rendered(4, z, 16)
+        error, _ = rendered(4, z, 64)
         assert len(error) >= 12
         median[z] = float(np.median(np.linalg.norm(error, axis=1)))
         shift[z] = float(error[:, 0].mean())

@@ -170,7 +170,8 @@ class TestSourcesAlone:
         assert gamma.heights_mm[1] > 0.05 > gamma.heights_mm[0]
         assert quantised.steady_mm[1] > 3 * quantised.steady_mm[0]
         assert found["quantisation, 8 bit"] is quantised
-        assert floor.steady_mm[0] == pytest.approx(floor.steady_mm[1], rel=0.2)
+        # Square panel pixels and footprints: at most a tenth of a panel pixel, 0.05 mm.
+        assert max(floor.steady_mm) < 0.05
 
 
 def test_the_stage_is_no_part_of_the_object():
