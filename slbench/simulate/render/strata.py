@@ -31,7 +31,7 @@ class Strata:
     sample : mi.UInt32
         Number of the sample within it.
     pairs : int
-        Antithetic pairs in either half of a pixel's samples.
+        Antithetic pairs in either half of a pixel's samples; a power of two.
     seed : int
         Of 32 bits.
     """
@@ -43,23 +43,35 @@ class Strata:
         within = sample - half * per_half
         self.pair = within >> 1
         self.mirrored = (within & 1) == 1
-        start = dr.opaque(mi.UInt32, seed)
-        self.first, self.second = mi.sample_tea_32(2 * pixel + half, start)
+        self.own, self.other = mi.sample_tea_32(2 * pixel + half, dr.opaque(mi.UInt32, seed))
         self.dimension = 0
 
     def next_1d(self) -> Any:
         """Return a number in [0, 1) for each lane."""
         self.dimension += 1
-        order, _ = mi.sample_tea_32(self.first + self.dimension, self.second)
-        stratum = mi.permute_kensler(self.pair, self.pairs, order)
-        jitter = mi.sample_tea_float32(order, self.second ^ self.pair)
-        number = (mi.Float(stratum) + jitter) / self.pairs
+        step = mi.UInt32((self.dimension * _ODD) & 0xFFFFFFFF)
+        order = _mixed(self.own + step)
+        # An odd factor and a shift, modulo a power of two: a permutation of the pairs.
+        stratum = (self.pair * (order | 1) + (order >> 16)) & mi.UInt32(self.pairs - 1)
+        jitter = mi.Float(_mixed(self.other + step + self.pair * mi.UInt32(_OTHER_ODD)) >> 8)
+        number = (mi.Float(stratum) + jitter * 2.0**-24) / self.pairs
         number = dr.select(self.mirrored, 1.0 - number, number)
         return dr.clip(number, 0.0, _BELOW_ONE)
 
     def next_2d(self) -> Any:
         """Return a point in [0, 1)^2 for each lane."""
         return mi.Point2f(self.next_1d(), self.next_1d())
+
+
+#: Odd numbers that set the hashed counters of dimensions and pairs apart (the golden ratio's).
+_ODD, _OTHER_ODD = 0x9E3779B9, 0x85EBCA77
+
+
+def _mixed(x: Any) -> Any:
+    """Return a hash of 32 bits: A. Appleby's finaliser of MurmurHash3 (public domain)."""
+    x = (x ^ (x >> 16)) * mi.UInt32(0x85EBCA6B)
+    x = (x ^ (x >> 13)) * mi.UInt32(0xC2B2AE35)
+    return x ^ (x >> 16)
 
 
 #: The largest number below 1 in single precision.

@@ -67,7 +67,7 @@ def trace(
     marginals : tuple of {"u", "v", "uv"}
         What to keep: sums over panel columns, over rows, or the full matrix.
     samples : int
-        Monte Carlo samples a pixel; rounded up to a full grid of strata.
+        Monte Carlo samples a pixel; rounded up to a power of two, at least 4.
     seed : int
     on_progress : callable, optional
         Called with the finished fraction after each pass.
@@ -149,7 +149,7 @@ class _Tracer:
         self.intensity = opaque(rig.projector.axial_intensity)
         self.width, self.height = rig.camera.width, rig.camera.height
         self.geometry = geometry(objects)
-        self.pairs = max(1, -(-samples // 4))
+        self.pairs = 1 << (max(1, -(-samples // 4)) - 1).bit_length()
         self.samples = 4 * self.pairs
 
     def passes(self) -> list[tuple[int, int]]:
@@ -184,6 +184,16 @@ class _Tracer:
         for rows in builders.values():
             rows.add(samples)
 
+    def _circles(self, first: int, last: int) -> Any:
+        """Return the signed circle of confusion of what each pixel's centre sees, px."""
+        pixel = dr.arange(mi.UInt32, last - first) + dr.opaque(mi.UInt32, first)
+        row = pixel // dr.opaque(mi.UInt32, self.width)
+        column = pixel - row * dr.opaque(mi.UInt32, self.width)
+        centre = mi.Point2f(mi.Float(column), mi.Float(row))
+        circles = seen_circle(self.camera, self.camera_to_world, self.geometry, centre)
+        dr.eval(circles)
+        return circles
+
     def _lanes(self, array: Any, pixels: int) -> NDArray[np.float32]:
         """Return what samples hold, (pixels, samples); one value stands for all."""
         values = array.numpy()
@@ -206,7 +216,8 @@ class _Tracer:
         lens = sampler.next_2d() if self.camera.needs_lens_sample else mi.Point2f(0.5)
         circle = mi.Float(0.0)
         if self.camera.rings is not None and self.camera.aperture is not None:
-            circle = seen_circle(self.camera, self.camera_to_world, self.geometry, position)
+            # Of the pixel's centre, as defocus hardly changes within it: one ray for all samples.
+            circle = dr.gather(mi.Float, self._circles(first, last), lane // per_pixel)
         origin, direction = spread_ray(self.camera, position, self.camera.disk(lens), circle)
         ray = mi.RayDifferential3f(
             mi.Ray3f(self.camera_to_world @ origin, self.camera_to_world @ direction)
