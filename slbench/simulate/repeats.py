@@ -18,6 +18,7 @@ from slbench.capture.stack import WeightSource
 from slbench.core.random import Word, generator, tagged_seed
 from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
 from slbench.rig import Pose
+from slbench.scene.materials import PRESETS
 from slbench.scene.model import Scene, SceneObject
 from slbench.simulate.expose import lighting, radiance_batches, shutter_for
 from slbench.simulate.stack import capture_stack
@@ -26,17 +27,38 @@ from slbench.simulate.transport import LightTransport
 Array = NDArray[np.float64]
 
 
-def plate_scene(scene: Scene, height_mm: float) -> Scene:
+def plate_scene(scene: Scene, height_mm: float, texture_mm: float | None = None) -> Scene:
     """Return the scene with a level plate of the volume's size instead of its objects.
 
-    The plate has the material of the scene's first object.
+    The plate has the material of the scene's first object; with a texture it is a chequerboard of
+    squares of `texture_mm`, every other one of which is dark.
     """
     size = scene.rig.volume_mm
+    if texture_mm is not None:
+        return replace(scene, objects=(_texture(scene, height_mm, texture_mm),))
     plate = objects.build_artefact(
         "plane", {"size_mm": [size[0], size[1]], "thickness_mm": 0.1 * min(size[:2])}
     )
     pose = Pose(np.eye(3), np.array([0.0, 0.0, height_mm]))
     return replace(scene, objects=(SceneObject(plate, pose, scene.objects[0].material),))
+
+
+def _texture(scene: Scene, height_mm: float, square_mm: float) -> SceneObject:
+    rows, columns = (max(4, round(length / square_mm)) for length in scene.rig.volume_mm[1::-1])
+    board = objects.build_artefact(
+        "chequerboard",
+        {
+            "rows": rows,
+            "columns": columns,
+            "square_mm": square_mm,
+            "margin_mm": square_mm,
+            "thickness_mm": 0.1 * min(scene.rig.volume_mm[:2]),
+        },
+    )
+    dark = next(part for part in board.parts if "dark" in part or "black" in part)
+    pose = Pose(np.eye(3), np.array([0.0, 0.0, height_mm]))
+    materials = {dark: PRESETS["dark-stage"]}
+    return SceneObject(board, pose, scene.objects[0].material, materials)
 
 
 def repeated_phases(

@@ -132,6 +132,7 @@ def noise_of_scene(
     shifts: int = 3,
     seed: int = 0,
     weights: WeightSource = "lit",
+    texture_mm: float | None = None,
     on_progress: Progress | None = None,
 ) -> PhaseNoise:
     """Estimate sigma_phi(n, z) of a scene's rig from simulated captures of a plate.
@@ -147,6 +148,8 @@ def noise_of_scene(
     repeats, shifts, seed : int
     weights : {"lit", "modulation"}
         Of the fusion, where the scene has focus settings.
+    texture_mm : float, optional
+        Squares of a chequerboard, instead of an even plate: something to focus on.
     on_progress : callable, optional
 
     Returns
@@ -167,7 +170,7 @@ def noise_of_scene(
     )
     sigma = np.full((len(fringes), len(heights)), np.inf)
     for j, height in enumerate(heights):
-        plate = plate_scene(scene, height)
+        plate = plate_scene(scene, height, texture_mm)
         transports = traced(plate, ("u",), seed=tagged_seed(seed, _LIGHT, j + 1))
         truth = ground_truth(plate.objects, plate.rig)
         pixels = _chosen(truth, seed)

@@ -215,21 +215,33 @@ def run_ch8(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
     )
 
 
+#: Squares of the texture that fusion may go by, mm: four camera pixels of the coarser camera.
+_TEXTURE_MM = 0.02
+
+
 def measure_noise(size: Size, seed: int, report: Progress) -> dict[str, PhaseNoise]:
-    """Measure sigma(n, z) of one picture and of stacks fused in two ways."""
+    """Measure sigma(n, z) of one picture, of stacks fused in two ways, and of their controls.
+
+    A control has as many pictures, and so as much light, all at the middle's focus.
+    """
     stack = load_scene("ch8-stack")
     half = 0.5 * stack.rig.volume_mm[2]
     counts = [2**k for k in range(size.noise_fringes.bit_length())]
-    single = replace(stack.coarser(size.noise_divisor, size.samples), focus=None)
-    ways: dict[str, tuple[Scene, Any, list[int], int, int]] = {
-        "single": (single, "lit", counts, size.noise_heights, size.noise_repeats)
-    }
-    coarse = stacked(stack, size.settings).coarser(2 * size.noise_divisor, size.samples)
     few = [n for n in counts if n in (1, 4, 16, 32)]
-    for way in ("lit", "modulation"):
-        ways[f"fused-{way}"] = (coarse, way, few, size.fused_heights, size.fused_repeats)
+    single = replace(stack.coarser(size.noise_divisor, size.samples), focus=None)
+    coarse = stacked(stack, size.settings).coarser(2 * size.noise_divisor, size.samples)
+    still = replace(coarse, focus=Focus.sweep(coarse.rig, [0.0] * size.settings))
+    fused = (few, size.fused_heights, size.fused_repeats)
+    ways: dict[str, tuple[Scene, Any, float | None, list[int], int, int]] = {
+        "single": (single, "lit", None, counts, size.noise_heights, size.noise_repeats),
+        "fused-lit": (coarse, "lit", None, *fused),
+        "fused-modulation": (coarse, "modulation", None, *fused),
+        "averaged": (still, "lit", None, *fused),
+        "textured-fused-lit": (coarse, "lit", _TEXTURE_MM, *fused),
+        "textured-averaged": (still, "lit", _TEXTURE_MM, *fused),
+    }
     found = {}
-    for k, (name, (scene, weights, fringes, heights, repeats)) in enumerate(ways.items()):
+    for k, (name, (scene, weights, texture, fringes, heights, repeats)) in enumerate(ways.items()):
 
         def progress(stage: str, done: float, k: int = k) -> None:
             report("noise", (k + done) / len(ways))
@@ -241,6 +253,7 @@ def measure_noise(size: Size, seed: int, report: Progress) -> dict[str, PhaseNoi
             repeats=repeats,
             seed=seed,
             weights=weights,
+            texture_mm=texture,
             on_progress=progress,
         )
     return found

@@ -38,10 +38,23 @@ class TestNoise:
 
     def test_verdicts(self):
         grown, flat = table(0.01, 1.0), table(0.01, 0.0)
-        ends, fusion = findings.noise_findings({"single": grown, "fused-lit": table(0.005, 0.1)})
+        averaged = table(0.01 / np.sqrt(7.0), 1.0)
+        fused = {"single": grown, "averaged": averaged, "fused-lit": table(0.005, 0.1)}
+        ends, fusion = findings.noise_findings(fused)
         assert (ends.verdict, fusion.verdict) == ("reproduced", "reproduced")
-        ends, fusion = findings.noise_findings({"single": flat, "fused-lit": table(0.02, 0.0)})
+        fused = {"single": flat, "averaged": averaged, "fused-lit": table(0.02, 1.0)}
+        ends, fusion = findings.noise_findings(fused)
         assert (ends.verdict, fusion.verdict) == ("not reproduced", "not reproduced")
+
+    def test_averaging_is_no_fusion(self):
+        """Frames averaged at one focus have less noise than one picture, and do not pass."""
+        single, averaged = table(0.01, 1.0), table(0.01 / np.sqrt(7.0), 1.0)
+        assert averaged.of(16).max() < 0.5 * single.of(16).max()
+        found = {"single": single, "averaged": averaged, "fused-lit": averaged}
+        assert findings.noise_findings(found)[1].verdict == "not reproduced"
+        # Nor do they when measured again, with other noise of some per cent.
+        again = PhaseNoise(FRINGES, averaged.sigma_rad * 0.96, HEIGHTS)
+        assert findings.fusion_finding("x", "again", again, averaged, 16).verdict != "reproduced"
 
     def test_designer_at_the_thesiss_noise(self):
         # A quiet system needs one step, the same one at 0.25 rad the thesis's four; 32 fringes
