@@ -14,6 +14,7 @@ phase noise of 0.036 rad speaks of (7.1.2), so that absolute deviations can be c
 from __future__ import annotations
 
 import itertools
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -35,13 +36,14 @@ from slbench.thesis import published as thesis
 from slbench.thesis.ch7 import report
 from slbench.thesis.ch7.budget import error_budget, object_truth
 from slbench.thesis.ch7.findings import (
+    blurred_finding,
     heights_finding,
     same_heights_finding,
     shaken_finding,
     std_findings,
     time_findings,
 )
-from slbench.thesis.ch7.results import Shaken
+from slbench.thesis.ch7.results import Blurred, Shaken
 from slbench.thesis.ch7.timing import time_sets
 from slbench.thesis.ch7.twoterm import (
     constant_for_ratio,
@@ -50,7 +52,7 @@ from slbench.thesis.ch7.twoterm import (
     vibration_std_mm,
 )
 from slbench.thesis.outcome import Outcome
-from slbench.thesis.published import DOUBLING, OBJECTS, OURS, SETS, STD_UM, STEP_BLOCK
+from slbench.thesis.published import DOUBLING, FINEST, OBJECTS, OURS, SETS, STD_UM, STEP_BLOCK
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -62,7 +64,9 @@ TIMED = (
 )
 #: Vibration that the error budget tries, pixels of the full-size camera.
 _TRIED_PX = 0.1
-_SCANS, _BUDGET, _LIGHT, _FITTED, _DIM = range(5)
+_SCANS, _BUDGET, _LIGHT, _FITTED, _DIM, _BLURRED = range(6)
+#: Times that a blur is corrected by the factor that was measured with it.
+_CORRECTIONS = 2
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,7 @@ class _Size:
     scenes: tuple[str, ...] = tuple(OBJECTS)
 
 
-_FULL = _Size(1, 64, 15, 30, 40)
+_FULL = _Size(1, 16, 15, 30, 40)
 # Half the pixels each way: of 50 fringes, a quarter would leave three pixels to each, too few to
 # be moved by a fraction of a pixel.
 _PREVIEW = _Size(2, 16, 6, 12, 5, (STEP_BLOCK, "ch7-gear"))
@@ -125,6 +129,9 @@ def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
     alone = {STEP_BLOCK: block}
     dim = shake(alone, dim_detector, size, tagged_seed(seed, _DIM))
     tell("vibration", 1.0)
+    tell("blur", 0.0)
+    blurred = blur(views, size, tagged_seed(seed, _BLURRED))
+    tell("blur", 1.0)
     timed = _View.of(STEP_BLOCK, 1, _TIMING_SAMPLES, seed)
     timing = time_sets(timed.scene, timed.transports[0], TIMED, turns=size.turns, seed=seed)
     findings = (
@@ -132,6 +139,7 @@ def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
         heights_finding(found[STEP_BLOCK], budget, seed),
         same_heights_finding(found[STEP_BLOCK], seed),
         shaken_finding(shaken),
+        blurred_finding(blurred),
         *time_findings(timing, seed),
     )
     truths = {name: view.truth for name, view in views.items()}
@@ -141,7 +149,7 @@ def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
         report.law_table(STD_UM, OBJECTS, found),
         report.random_table(budget, block.predicted_um(_TRIED_PX / size.divisor)),
         report.steady_table(budget),
-        report.shaken_table(shaken, dim, OBJECTS, STD_UM),
+        report.causes_table(shaken, dim, blurred, OBJECTS, STD_UM),
         report.time_table(timing),
     )
     pictures = {
@@ -159,6 +167,7 @@ def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
         "samples": size.samples,
         "repeats": size.repeats,
         "vibration_repeats": size.shaken_repeats,
+        "blur_px": blurred.blur_px,
         "vibration_px": {"scene's light": shaken.full_size_px, "0.036 rad": dim.full_size_px},
         "full_well_e": {
             "scene's light": shaken.detector.full_well_e,
@@ -191,9 +200,13 @@ class _View:
 
     @classmethod
     def of(cls, name: str, divisor: int, samples: int, seed: int) -> _View:
+        return cls.seen(load_scene(name).coarser(divisor, samples), seed)
+
+    @classmethod
+    def seen(cls, scene: Scene, seed: int) -> _View:
+        """Trace a scene."""
         from slbench.simulate.render.groundtruth import ground_truth
 
-        scene = load_scene(name).coarser(divisor, samples)
         truth = ground_truth(scene.objects, scene.rig)
         return cls(scene, traced(scene, ("u",), seed=seed), object_truth(truth))
 
@@ -241,6 +254,45 @@ def shake(views: dict[str, _View], detector: Detector, size: _Size, seed: int) -
         )
         found[name] = view.compare(moving, size.shaken_repeats, seed)
     return Shaken(vibration, size.divisor, vibration * block.pixel_um, detector, found)
+
+
+def blur(views: dict[str, _View], size: _Size, seed: int) -> Blurred:
+    """Find the projector's blur that gives the step block the thesis's factor; scan all with it.
+
+    A Gaussian of variance ``s^2`` leaves ``exp(-2 pi^2 s^2 (n / W)^2)`` of the contrast of n
+    fringes on W pixels, so that the logarithm of a factor is a straight line over ``s^2``.
+
+    Parameters
+    ----------
+    views : dict
+        The step block among them.
+    size, seed
+    """
+
+    def blurring(view: _View, variance: float) -> _View:
+        projector = replace(view.scene.rig.projector, blur_px=math.sqrt(variance))
+        rig = view.scene.rig.having(projector=projector)
+        return _View.seen(replace(view.scene, rig=rig), seed)
+
+    def factor(view: _View) -> float:
+        found = view.compare(view.scene, size.repeats, seed)
+        return found[DOUBLING].std_z_median_mm / found[OURS].std_z_median_mm
+
+    block = views[STEP_BLOCK]
+    ours, few, _ = STD_UM[STEP_BLOCK]
+    projector = block.scene.rig.projector
+    finest = dict(zip(SETS, FINEST, strict=True))
+    squares = (finest[OURS] ** 2 - finest[DOUBLING] ** 2) / projector.width**2
+    slope = 2.0 * math.pi**2 * squares
+    variance, measured = projector.blur_px**2, factor(block)
+    for _ in range(_CORRECTIONS):
+        variance = max(variance + math.log(measured / (few / ours)) / slope, 0.0)
+        measured = factor(blurring(block, variance))
+    found = {}
+    for name, view in views.items():
+        other = blurring(view, variance)
+        found[name] = other.compare(other.scene, size.repeats, seed)
+    return Blurred(math.sqrt(variance), found)
 
 
 def _cloud(name: str, found: Comparison, truth: GroundTruth) -> Cloud:

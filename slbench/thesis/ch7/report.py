@@ -10,7 +10,7 @@ from slbench.bench.compare.comparison import Comparison
 from slbench.core.show.document import Cell, Picture, Table
 from slbench.scene.truth import GroundTruth
 from slbench.thesis.ch7.budget import Budget
-from slbench.thesis.ch7.results import Shaken
+from slbench.thesis.ch7.results import Blurred, Shaken
 from slbench.thesis.ch7.timing import Timing, typical
 from slbench.thesis.ch7.twoterm import TwoTerm
 from slbench.thesis.pictures import (
@@ -192,24 +192,30 @@ def steady_table(budget: Budget) -> Table:
     return Table("Error budget: what is the same in every scan", columns, tuple(rows), note)
 
 
-def shaken_table(
+def causes_table(
     shaken: Shaken,
     dim: Shaken,
+    blurred: Blurred,
     labels: Mapping[str, str],
     thesis: Mapping[str, Sequence[float]],
 ) -> Table:
-    """Lay out deviations and factors with fitted vibration, thesis beside ours."""
+    """Lay out deviations and factors with a fitted vibration, or blur; thesis beside ours."""
     rows: list[tuple[Cell, ...]] = []
-    for case, title in ((shaken, "scene's light"), (dim, "light for 0.036 rad")):
-        for scene, found in case.found.items():
+    causes = {
+        f"vibration {shaken.full_size_px:.3f} px": shaken.found,
+        f"vibration {dim.full_size_px:.3f} px, light for 0.036 rad": dim.found,
+        f"blur {blurred.blur_px:.2f} px": blurred.found,
+    }
+    for title, comparisons in causes.items():
+        for scene, found in comparisons.items():
             sigma = [1e3 * _std(found, name, scene) for name in SETS]
             theirs = thesis[scene]
-            row: list[Cell] = [f"{title}, {case.full_size_px:.3f} px", labels[scene]]
+            row: list[Cell] = [title, labels[scene]]
             row += [f"{s:.1f} ({t:.1f})" for s, t in zip(sigma, theirs, strict=True)]
             row += [f"{sigma[k] / sigma[0]:.2f} ({theirs[k] / theirs[0]:.2f})" for k in range(1, 3)]
             rows.append(tuple(row))
     columns = (
-        "light, vibration",
+        "cause",
         "object",
         *(f"{{{name}}} / µm" for name in SETS),
         "factor to {1,2,4}",
@@ -217,13 +223,14 @@ def shaken_table(
     )
     repeats = next(iter(shaken.found.values())).repeats
     note = (
-        "In brackets: the thesis. Each vibration is fitted to the first factor of the step block "
-        f"alone, 4.17, and is {shaken.moved_um:.0f} µm and {dim.moved_um:.0f} µm on the object. "
+        "In brackets: the thesis. Each cause is fitted to the first factor of the step block "
+        f"alone, 4.17. The vibrations are {shaken.moved_um:.0f} µm and {dim.moved_um:.0f} µm on "
+        "the object. "
         f"Full well {shaken.detector.full_well_e:.0f} e and {dim.detector.full_well_e:.0f} e; "
         f"{repeats} scans: factors are uncertain by some 10 %, as a vibration moves all pixels "
         "alike. The same holds of the thesis's 15 scans, whose intervals are over pixels."
     )
-    return Table("With vibration", columns, tuple(rows), note)
+    return Table("With vibration, and with a loss of modulation", columns, tuple(rows), note)
 
 
 def time_table(timing: Timing) -> Table:

@@ -9,6 +9,17 @@ from slbench.detector.emva1288 import Detector
 
 
 @dataclass(frozen=True, eq=False)
+class Blurred:
+    """Comparisons with the blur of the projector that reproduces one factor.
+
+    ``blur_px`` is its standard deviation in panel pixels.
+    """
+
+    blur_px: float
+    found: dict[str, Comparison]
+
+
+@dataclass(frozen=True, eq=False)
 class Shaken:
     """Comparisons with the vibration that reproduces one factor.
 
