@@ -39,8 +39,6 @@ Array = NDArray[np.float64]
 #: so far, which leaves out 0.8 % of the light; that is laid evenly over what is followed, where it
 #: adds no contrast to fringes finer than that.
 TAIL = 8.0
-#: Enclosed energy is followed further, for rays cost nothing: 0.4 % is left out.
-_RING_TAIL = 24.0
 #: Standard deviations of the blur that are followed: 5e-4 of the light is left out.
 _SIGMAS = 3.5
 #: Spread of a device that has none, px: next to nothing beside a pixel.
@@ -280,7 +278,6 @@ def _rings(spread: Spread) -> Table:
     energy = (np.arange(_PLACES) / (_PLACES - 1)) ** 2
     coarse = np.empty((_ROWS, _PLACES))
     coarse[-1] = np.sqrt(energy) * (1.0 - energy + RING_SOFTENING)
-    tail = _RING_TAIL * spread.diffraction_px + _SIGMAS * spread.blur_px + _LEAST
     for row, disc in enumerate(_discs(edge, _ROWS)):
         soft = _soft(spread, disc)
         if spread.diffraction_px == 0 and spread.blur_px == 0:
@@ -289,11 +286,10 @@ def _rings(spread: Spread) -> Table:
             # A large disc: the soft edge moves radii near the rim by less than its width.
             radius = np.sqrt(energy) * np.hypot(disc, 2.0**0.5 * soft)
         else:
-            near = np.linspace(0.0, disc + edge, _PLACES)
-            far = np.geomspace(disc + edge, disc + max(tail, edge * 1.01), _PLACES // 4)[1:]
-            r = np.concatenate((near, far))
+            r = np.linspace(0.0, disc + edge, 2 * _PLACES)
             enclosed = _enclosed(spread, disc, r)
-            enclosed /= enclosed[-1]
+            # What lies beyond the reach, evenly, as in lines.
+            enclosed += (1.0 - enclosed[-1]) * (r / r[-1]) ** 2
             radius = _inverse(enclosed, r, energy)
         coarse[row] = radius / (disc + edge) * (1.0 - energy + RING_SOFTENING)
     return Table(_finer(coarse, _FINE_ROWS), edge)

@@ -239,8 +239,7 @@ def flat_truth():
         np.stack((2.0 * u, 2.0 * v), axis=-1),
         status,
         object_id,
-        np.zeros(SHAPE),
-        np.zeros(SHAPE),
+        *np.zeros((4, *SHAPE)),
     )
 
 

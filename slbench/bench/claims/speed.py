@@ -1,6 +1,7 @@
 """How much a pattern costs, in renders: ratios of times of one run on one machine.
 
-The yardstick is one render of one pattern by Mitsuba's own integrator with as many samples a pixel.
+The yardstick is one render of one pattern by Mitsuba's own integrator, with 64 samples a
+pixel, as one would render a picture.
 Trace, relight and render take turns, so that slow spells of the machine meet all three, and of
 several turns the fastest of each counts: what disturbs a run only ever makes it slower.
 """
@@ -10,6 +11,7 @@ from __future__ import annotations
 import functools
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,6 +21,8 @@ from slbench.scene.model import Scene
 #: Fringe patterns whose cost is measured: three sets of twelve shifts.
 _PATTERNS, _TEXT = 36, "1,10,50@12"
 _TURNS = 3
+#: Samples a pixel of an ordinary render.
+_RENDERED = 64
 
 
 def speed_ratios(scene: Scene, seed: int) -> dict[str, float]:
@@ -39,7 +43,7 @@ def speed_ratios(scene: Scene, seed: int) -> dict[str, float]:
     from slbench.simulate.render.trace import trace
 
     profiles = PatternSequence.parse(_TEXT, scene.sequence.panel).profiles("u")[1]
-    render = _renderer(scene)
+    render = _renderer(replace(scene, samples=_RENDERED))
     parts = scene.objects, scene.rig, scene.light
     light = functools.partial(trace, *parts, ("u",), samples=scene.samples, seed=seed)
     transport = light()

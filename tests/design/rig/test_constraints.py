@@ -172,7 +172,8 @@ def in_focus(hardware, rig, points):
     for device in (rig.camera, rig.projector):
         with np.errstate(divide="ignore", invalid="ignore"):
             inside &= device.contains(device.project(points))
-            inside &= device.circle_of_confusion(points) <= hardware.circle_px
+            accepted = device.spread.circle(hardware.circle_px)
+            inside &= device.circle_of_confusion(points) <= accepted
     return inside
 
 
