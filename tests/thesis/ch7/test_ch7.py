@@ -67,6 +67,13 @@ class TestFindingsHold:
         assert 1.5 < sixteen.ours < 3.125 * 1.05
         assert "does not depend on n" in four.why
 
+    def test_a_cause_can_fail(self):
+        """Without any cause the factors of noise alone are not the thesis's."""
+        comparisons = {name: found(name) for name in ("ch7-step-block", "ch7-gear")}
+        finding = ch7_findings.cause_finding("x", "With nothing", comparisons, "Nothing.")
+        assert finding.verdict in ("in part", "not reproduced")
+        assert "consistent with" in finding.why
+
     def test_heights_are_closer(self):
         finding = ch7_findings.heights_finding(found(), gamma_row((0.008, 0.15, 0.009)), 0)
         # 3.6 um against 11.5 um; over twelve seeds the logarithm of the ratio is -1.14 with a
