@@ -42,6 +42,9 @@ from slbench.simulate.transport import LightTransport, Marginal
 #: Samples of one pass.  2 million lanes take about 50 MB and amortise the launch.
 _LANES_PER_PASS = 1 << 21
 
+#: Radius of a disc, px, beyond which all discs are alike.
+_LARGEST_PX = 1e5
+
 Axes = tuple[Literal["u", "v", "uv"], ...]
 
 
@@ -267,6 +270,7 @@ class _Tracer:
         weight = dr.select(active, dr.select(hidden, -weight, weight), 0.0)
         zone = place * math.sqrt(1.0 - 1.0 / self.pairs)
         shift = along_x * zone.x + along_y * zone.y
-        circles = dr.sqrt(along_x * along_x + along_y * along_y)
+        # Right before the lens discs grow without end; no panel is as large as this one.
+        circles = dr.minimum(dr.sqrt(along_x * along_x + along_y * along_y), _LARGEST_PX)
         # What is not lit may lie where a lens is not defined.
         return _Hit(weight, *(dr.select(active, part, 0.0) for part in (chief, shift, circles)))
