@@ -43,6 +43,8 @@ _CATALOGUE_MM = (
 _LEAST_EXTENSION = 0.05
 #: Error of a principal point, in sizes of the image, that still tells another resolution.
 _NEAR = 0.06
+#: Wavelengths of light that lenses take, nm.
+_WAVELENGTHS_NM = (100.0, 20_000.0)
 #: Places along each side of a panel that are asked whether they see anything.
 _SAMPLED = 33
 
@@ -142,11 +144,26 @@ def fold_doubt(device: Device) -> str | None:
     )
 
 
+def wavelength_doubt(device: Device) -> str | None:
+    """Question a wavelength in another unit, or one that no aperture diffracts."""
+    nm = device.lens.wavelength_nm
+    if nm == 0.0:
+        return None
+    for unit, factor in (("µm", 1e3), ("mm", 1e6), ("m", 1e9)):
+        if not _fits(nm, _WAVELENGTHS_NM) and _fits(nm * factor, _WAVELENGTHS_NM):
+            return f"{nm:.4g} nm is no light; in {unit} it would be {nm * factor:.4g} nm"
+    if device.lens.aperture_radius_mm == 0.0:
+        return f"{nm:.4g} nm have no effect: a pinhole (no f_number) does not diffract here"
+    return None
+
+
 def rig_doubts(rig: Rig) -> Iterator[tuple[str, str]]:
     """Return what is odd about a camera and a projector: (what, sentence)."""
     for name, device in (("camera", rig.camera), ("projector", rig.projector)):
         if doubt := pitch_doubt(device):
             yield f"pitch_um of the {name}", doubt
+        if doubt := wavelength_doubt(device):
+            yield f"wavelength_nm of the {name}", doubt
         if any(device.distortion) and (doubt := fold_doubt(device)):
             yield f"distortion of the {name}", doubt
     if doubt := principal_point_doubt(rig.camera):
