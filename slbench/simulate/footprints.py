@@ -10,15 +10,19 @@ sample looks it up at its place:
 
 ``B`` takes the panel's columns to the nodes of blurred panels, a row of nodes each level; ``S``
 takes nodes to camera pixels, and is as sparse out of focus as in.  A node's spacing follows from
-the finest fringes that its level lets through; between nodes a quadratic keeps the mean and the
-variance of a sample's place exactly (three weights, of which one may be slightly negative).
-Without any spread the nodes are the panel's pixels, squares of one value.
+the finest fringes that its level lets through.  Nodes hold the coefficients of the cubic B-spline
+through the blurred panel (M. Unser, "Splines: a perfect fit for signal and image processing", IEEE
+Signal Process. Mag. 16(6), 1999), so that a sample has four weights, none negative, which keep the
+mean, the variance and the skewness of its place.  Without any spread the nodes are the panel's
+pixels, squares of one value.
 
-Levels are even in ``arsinh(R)``, the disc's radius: 1.5 % of the radius where that is large.
+Levels are even in ``ln(1 + R^2)``, with the disc's radius ``R`` in units of what else is spread:
+1.5 % of the radius where that is large, equal steps of the variance where it is small.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -35,19 +39,23 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Step between levels: of the radius where it is large, of the scale where it is small.
+#: Step between levels: of the radius where it is large.
 STEP = 0.015
 #: A spread of less than this, px, is none: footprints of the panel's square pixels stay sharp.
 SHARP = 0.05
 #: Frequencies that matter, cycles a pixel: fringes of five pixels; and where blur, diffraction and
 #: defocus leave a few per cent of the contrast.
 _FINEST, _BLURRED, _DIFFRACTED, _DEFOCUSED = 0.2, 0.48, 1.5, 1.6
-#: Phase of the finest fringe from node to node, rad: a quadratic is good to 0.005 of it there.
-_PHASE = 0.75
+#: Phase of the finest fringe from node to node, rad, at most: the spline's error is
+#: ``(phase / (2 pi - phase))^4`` of it, 0.007.
+_PHASE = 1.4
 #: Nodes of a panel, at most, that a level has: of discs hardly larger than nothing.
 _CLOSEST = 1.0 / 8.0
 #: Nodes that are worth a thread.
 _LEAST = 256
+#: The B-spline filter's pole, and nodes after which it has died away, to 1e-7.
+_POLE = math.sqrt(3.0) - 2.0
+_MARGIN = 12
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,7 @@ class Levels:
 
     @property
     def scale(self) -> float:
-        """Radius, px, below which levels are even in it."""
+        """Radius, px, below which levels are even in its square."""
         return max(self._rest, 1.0)
 
     @property
@@ -77,11 +85,11 @@ class Levels:
 
     def count(self, largest: float) -> int:
         """Return the number of levels for discs of up to a radius, px."""
-        return round(float(np.arcsinh(largest / self.scale)) / STEP) + 1
+        return round(0.5 * float(np.log1p((largest / self.scale) ** 2)) / STEP) + 1
 
     def radii(self, count: int) -> Array:
         """Return the discs' radii of the first levels, px."""
-        return self.scale * np.sinh(STEP * np.arange(count))
+        return self.scale * np.sqrt(np.expm1(2.0 * STEP * np.arange(count)))
 
     def grids(self, count: int) -> Grids:
         """Return where the nodes of the first levels lie."""
@@ -155,7 +163,7 @@ class BlurredPanel:
         return int(self.nodes.sum())
 
     def blur(self, panels: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what the nodes see of panels, ``B`` times them.
+        """Return the nodes' coefficients for panels, ``B`` times them.
 
         Parameters
         ----------
@@ -180,8 +188,15 @@ class BlurredPanel:
                 continue
             reach = radii[level] + edge
             line = values[round(radii[level] / reach * (len(values) - 1))]
-            place, spacing = grids.first[level] + first * grids.spacing[level], grids.spacing[level]
-            _in_bands(place, spacing, line, reach, panels, part)
+            # Nodes at the side count until the filter has forgotten them, or all is dark.
+            before = min(_MARGIN, first)
+            after = min(_MARGIN, int(grids.nodes[level]) - first - len(part))
+            seen = np.empty((before + len(part) + after, panels.shape[1]), np.float32)
+            spacing = grids.spacing[level]
+            place = grids.first[level] + (first - before) * spacing
+            _in_bands(place, spacing, line, reach, panels, seen)
+            _to_spline(seen)
+            part[:] = seen[before : before + len(part)]
         return out
 
     def matrix(self) -> scipy.sparse.csr_array:
@@ -193,6 +208,22 @@ class BlurredPanel:
 
 def _in_bands(*given: Any) -> None:
     in_bands(lambda first, last: _blur(*given, first, last), len(given[-1]), _LEAST)
+
+
+@njit(cache=True, nogil=True)
+def _to_spline(values):  # type: ignore[no-untyped-def]
+    """Turn values, dark beyond their ends, into coefficients of the spline through them, (k, n)."""
+    k, n = values.shape
+    pole = np.float32(_POLE)
+    for i in range(1, k):
+        for j in range(n):
+            values[i, j] += pole * values[i - 1, j]
+    end = -pole / (np.float32(1.0) - pole * pole)
+    for j in range(n):
+        values[k - 1, j] *= np.float32(6.0) * end
+    for i in range(k - 2, -1, -1):
+        for j in range(n):
+            values[i, j] = pole * (values[i + 1, j] - np.float32(6.0) * values[i, j])
 
 
 @njit(cache=True, nogil=True)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 _LEAST = 1 << 12
 #: Up to so many columns are sorted by insertion alone.
 _INSERTED = 32
+#: Levels of a pixel that are so close are one.
+_NEIGHBOURS = 2
 #: Entries that 32 bits count.
 _MOST_INT32 = np.iinfo(np.int32).max
 #: Entries that a thread merges before it packs them: they stay in the cache.
@@ -126,6 +128,19 @@ class SparseRows:
         differences = None if self.differences is None else self.differences * repeated
         return replace(self, data=self.data * repeated, differences=differences)
 
+    def rounded(self, bits: int) -> SparseRows:
+        """Return the rows with `bits` of their weights' mantissas, rounded to nearest.
+
+        A relative error of at most ``2**-(bits + 1)``; the zeros behind them deflate away.
+        """
+        drop = np.uint32(23 - bits)
+        if drop == 0:
+            return self
+        weights = self.data.view(np.uint32) + np.uint32(1 << (int(drop) - 1))
+        weights >>= drop
+        weights <<= drop
+        return replace(self, data=weights.view(np.float32))
+
     def half(self) -> SparseRows:
         """Return the rows of one half of the samples."""
         assert self.differences is not None  # whoever asks has looked
@@ -179,12 +194,12 @@ class LineRows:
         def merge(first: int, last: int, out: _Scratch) -> None:
             # NumPy's logarithm works on many numbers at a time.
             scaled = circles[first:last] / np.float32(self.levels.scale)
-            scaled = np.log(scaled + np.sqrt(scaled * scaled + np.float32(1.0)))
-            levels = (scaled / np.float32(STEP) + np.float32(0.5)).astype(np.uint16)
+            scaled = np.log1p(scaled * scaled)
+            levels = (scaled * np.float32(0.5 / STEP) + np.float32(0.5)).astype(np.uint16)
             lanes = (given.weights, *own, levels, *other, given.share, given.bounce)
             _merge_lines(*lanes, *ends, *kept, *out, first, last)
 
-        block = _merged(merge, given.weights.shape, 3, count * stride)
+        block = _merged(merge, given.weights.shape, 4, count * stride)
         self.blocks.append((block, stride))
 
     def result(self) -> SparseRows:
@@ -337,14 +352,36 @@ def _whole(weights, first, last):  # type: ignore[no-untyped-def]
     return least >= np.float32(0)
 
 
+@njit(cache=True, nogil=True)
+def _one_level(weights, circles, zone, levels, first, last, known):  # type: ignore[no-untyped-def]
+    """Give a pixel's samples of one bounce one level where theirs are neighbours.
+
+    Their mean is as good as any of theirs, and the row has the nodes of one level.
+    """
+    least, most, total, count = 1 << 16, 0, 0, 0
+    for s in range(first, last):
+        if weights[s] <= 0.0:
+            continue
+        if not known:
+            x = circles[s] * zone
+            levels[s] = int(0.5 * math.log1p(x * x) / STEP + 0.5)
+        level = int(levels[s])
+        least, most = min(least, level), max(most, level)
+        total, count = total + level, count + 1
+    if 0 < most - least <= _NEIGHBOURS:
+        mean = (2 * total + count) // (2 * count)
+        for s in range(first, last):
+            levels[s] = mean
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def _merge_lines(  # type: ignore[no-untyped-def]
     weights, places, shifts, circles, levels, across, shifts_across, circles_across, share, bounce,
     lines, edge, size, origin, spacing, nodes, sharp, scale, stride,
     keys, sums, differences, counts, added, owner, first, last,
 ):  # fmt: skip
-    """Add footprints along an axis up: a quadratic between three nodes of a level."""
-    parts = np.empty(3, np.float32)
+    """Add footprints along an axis up: a cubic B-spline over four nodes of a level."""
+    parts = np.empty(4, np.float32)
     for p in range(first, last):
         own, n, whole = keys[p - first], 0, True
         number = bounce
@@ -352,14 +389,14 @@ def _merge_lines(  # type: ignore[no-untyped-def]
             number += 1
             if number >= bounce:
                 number, whole = 0, _whole(weights[p], s, s + bounce)
+                zone = np.float32(1.0 if whole else share) / scale
+                _one_level(weights[p], circles[p], zone, levels[p - first], s, s + bounce, whole)
             weight = weights[p, s]
             if weight <= 0.0:
                 continue
             level, place = int(levels[p - first, s]), places[p, s]
             circle_across, place_across = circles_across[p, s], across[p, s]
             if not whole:
-                x = circles[p, s] * share / scale
-                level = int(math.log(x + math.sqrt(x * x + 1.0)) / STEP + 0.5)
                 place += shifts[p, s]
                 circle_across *= share
                 place_across += shifts_across[p, s]
@@ -373,14 +410,18 @@ def _merge_lines(  # type: ignore[no-untyped-def]
                 if weight <= 0.0:
                     continue
             at = (place - origin[level]) / spacing[level]
-            middle = math.floor(at + 0.5)
             if sharp[level]:
-                low, high = middle, middle + 1
+                low = math.floor(at + 0.5)
+                high = low + 1
                 parts[0] = 1.0
             else:
-                q = at - middle
-                low, high = middle - 1, middle + 2
-                parts[0], parts[1], parts[2] = 0.5 * q * (q - 1.0), 1.0 - q * q, 0.5 * q * (q + 1.0)
+                low = math.floor(at) - 1
+                high = low + 4
+                t = at - low - 1
+                parts[0] = (1.0 - t) ** 3 / 6.0
+                parts[1] = 2.0 / 3.0 - t * t * (1.0 - 0.5 * t)
+                parts[3] = t**3 / 6.0
+                parts[2] = 1.0 - parts[0] - parts[1] - parts[3]
             if low < 0 or high > nodes[level]:
                 continue
             half = weight if 2 * number < bounce else -weight

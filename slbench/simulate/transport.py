@@ -44,12 +44,19 @@ _INSERTED = 32
 _PANEL_BYTES = 24
 #: Entries that 32 bits count.
 _MOST_INT32 = np.iinfo(np.int32).max
-#: Version of the file layout; in the first, all columns are panel pixels.
+#: Version of the file layout; in the first, all columns are panel pixels, and columns and weights
+#: are stored as they are.
 _FORMAT = 2
+#: Bytes of a weight, each stored as an array: exponents deflate well, the last bits do not.
+_BYTES = tuple(f"data{k}" for k in range(4))
 #: What a file may hold of use.
 _ENTRIES = (
     *("format", "panel", "samples", "ambient"),
-    *(f"{name}_{part}" for name in ("u", "v", "uv") for part in ("counts", "indices", "data")),
+    *(
+        f"{name}_{part}"
+        for name in ("u", "v", "uv")
+        for part in ("counts", "indices", "data", "steps", *_BYTES)
+    ),
     *(f"{name}_{part}" for name in ("u", "v") for part in ("spread", "levels")),
 )
 
@@ -236,8 +243,10 @@ class LightTransport:
             # Row lengths are small numbers: a byte or two each, where row starts take eight.
             counts = np.diff(rows.indptr)
             arrays[f"{name}_counts"] = counts.astype(np.min_scalar_type(counts.max(initial=0)))
-            arrays[f"{name}_indices"] = rows.indices
-            arrays[f"{name}_data"] = rows.data
+            # Columns of a row are neighbours: steps are small, and wrap around where a row begins.
+            arrays[f"{name}_steps"] = np.diff(rows.indices, prepend=rows.indices.dtype.type(0))
+            planes = rows.data.astype("<f4", copy=False).view(np.uint8).reshape(-1, 4).T
+            arrays |= {f"{name}_{part}": plane for part, plane in zip(_BYTES, planes, strict=True)}
             if rows.blurred is not None:
                 spread = rows.blurred.levels.spread
                 arrays[f"{name}_spread"] = np.array([spread.diffraction_px, spread.blur_px])
@@ -270,11 +279,10 @@ class LightTransport:
             if f"{name}_counts" not in arrays:
                 continue
             counts = _checked(path, arrays, f"{name}_counts", "u", 1)
-            indices = _checked(path, arrays, f"{name}_indices", "u", 1)
+            indices, data = _entries(path, arrays, name, int(version))
             if int(counts.max(initial=0)) > indices.size:  # before sums of them can overflow
                 raise InputError(f"{path}: {name}", "a consistent sparse matrix", "a damaged one")
             indptr = row_starts(counts)
-            data = _checked(path, arrays, f"{name}_data", "f", 1, least=-np.inf)
             blurred = None
             if f"{name}_levels" in arrays:
                 blurred = _blurred(path, arrays, name, size)
@@ -313,6 +321,22 @@ def _checked(
         which = " that are not negative" if least == 0.0 else ""
         raise InputError(f"{path}: {key}", f"finite numbers{which}", "others")
     return array
+
+
+def _entries(
+    path: str | Path, arrays: dict[str, NDArray[Any]], name: str, version: int
+) -> tuple[NDArray[np.unsignedinteger], NDArray[np.floating]]:
+    """Return columns and weights of a marginal."""
+    if version == 1:
+        indices = _checked(path, arrays, f"{name}_indices", "u", 1)
+    else:
+        steps = _checked(path, arrays, f"{name}_steps", "u", 1)
+        indices = np.cumsum(steps, dtype=steps.dtype)
+        planes = [_checked(path, arrays, f"{name}_{part}", "u", 1) for part in _BYTES]
+        if any(plane.dtype != np.uint8 or plane.shape != indices.shape for plane in planes):
+            raise InputError(f"{path}: {name}", "four bytes a weight", "others")
+        arrays = {f"{name}_data": np.stack(planes, axis=1).view("<f4")[:, 0]}
+    return indices, _checked(path, arrays, f"{name}_data", "f", 1, least=-np.inf)
 
 
 def _blurred(

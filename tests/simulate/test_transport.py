@@ -176,6 +176,25 @@ class TestFile:
                 assert first.dtype == second.dtype
                 assert first.tobytes() == second.tobytes()
 
+    def test_the_first_format_is_read(self, transport, tmp_path):
+        """Its columns are panel pixels, and its weights are stored as they are."""
+        matrix = transport.marginals["u"].tocsr()
+        np.savez(
+            tmp_path / "transport.npz",
+            format=np.array(1),
+            panel=np.array(PANEL),
+            samples=np.array(40),
+            ambient=transport.ambient,
+            u_counts=np.diff(matrix.indptr).astype(np.uint8),
+            u_indices=matrix.indices.astype(np.uint16),
+            u_data=matrix.data.astype(np.float32),
+        )
+        back = LightTransport.load(tmp_path / "transport.npz")
+        panels = np.random.default_rng(0).random((3, PANEL[0]))
+        np.testing.assert_allclose(
+            back.relight(panels), transport.relight(panels), rtol=1e-5, atol=1e-7
+        )
+
     def test_row_starts_are_as_wide_as_the_entries_need(self, transport, monkeypatch, tmp_path):
         most = transport.marginals["u"].indices.size - 1
         monkeypatch.setattr("slbench.simulate.rows._MOST_INT32", most)
@@ -230,19 +249,22 @@ class TestFile:
             ({"ambient": None}, "ambient"),
             ({"ambient": np.zeros(V * U, np.float32)}, "ambient"),
             ({"ambient": np.zeros((V, U + 1), np.float32)}, "u"),
-            ({"u_indices": None}, "u"),
-            ({"u_data": None}, "u"),
+            ({"u_steps": None}, "u"),
+            ({"u_data2": None}, "u"),
             ({"u_counts": np.zeros(V * U, np.uint32)}, "u"),
             ({"u_counts": np.zeros(3, np.uint32)}, "u"),
             # Sums that come round to the number of entries.
             ({"u_counts": lambda x: x + np.uint64(2**63) * (np.arange(x.size) < 2)}, "u"),
             ({"u_counts": np.array(["a"] * V * U)}, "u"),
-            ({"u_data": np.zeros(5, np.float32)}, "u"),
-            ({"u_indices": lambda x: x + 24}, "u"),
-            ({"u_indices": lambda x: x.astype(np.int16) - 5}, "u"),
-            ({"u_indices": lambda x: x.astype(np.float32)}, "u"),
-            ({"u_data": lambda x: x * np.nan}, "u"),
-            ({"u_data": lambda x: x[:, None]}, "u"),
+            ({f"u_data{k}": np.zeros(5, np.uint8) for k in range(4)}, "u"),
+            ({"u_data1": np.zeros(5, np.uint8)}, "u"),
+            ({"u_data1": lambda x: x.astype(np.uint16)}, "u"),
+            ({"u_steps": lambda x: x + 24}, "u"),
+            ({"u_steps": lambda x: x.astype(np.int16) - 5}, "u"),
+            ({"u_steps": lambda x: x.astype(np.float32)}, "u"),
+            ({f"u_data{k}": lambda x: x | np.uint8(0xFF) for k in (2, 3)}, "u"),
+            ({"u_data0": lambda x: x[:, None]}, "u"),
+            ({"format": np.array(1)}, "u"),
             ({"u_counts": None, "v_counts": None, "uv_counts": None}, "marginals"),
         ],
     )

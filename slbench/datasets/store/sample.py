@@ -29,8 +29,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from slbench.capture.capture import MANIFEST, Capture
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml, write_toml
@@ -87,25 +85,15 @@ def write_capture(folder: Path, prefix: str, shots: Capture) -> None:
 def rounded(transport: LightTransport, bits: int) -> LightTransport:
     """Return light transport with its weights rounded to `bits` of mantissa.
 
-    Rounding keeps the nearest of the numbers with `bits` explicit bits, a relative error of at
-    most ``2**-(bits + 1)``; the zeros behind them deflate away.
-
     Parameters
     ----------
     transport : LightTransport
     bits : int
-        From 1 to 23; 23 keeps the weights as they are.
+        From 1 to 23; those of the trace are no more than 15.
     """
     if not 1 <= bits <= EXACT_BITS:
         raise InputError("weight_bits", f"1 to {EXACT_BITS}", bits)
-    drop = np.uint32(EXACT_BITS - bits)
-    if drop == 0:
-        return transport
-    half = np.uint32(1 << (int(drop) - 1))
-    marginals = {
-        name: replace(rows, data=((rows.data.view(np.uint32) + half) >> drop << drop).view("f4"))
-        for name, rows in transport.marginals.items()
-    }
+    marginals = {name: rows.rounded(bits) for name, rows in transport.marginals.items()}
     return replace(transport, marginals=marginals)
 
 
