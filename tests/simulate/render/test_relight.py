@@ -149,13 +149,13 @@ def test_a_forgotten_bounce_is_seen():
 
 def test_the_two_product_ways_agree():
     """Fringes through the u marginal equal fringes through the full matrix."""
-    for case, tolerance in (("pinholes", 4e-6), ("all of the spread", 0.01)):
+    for case, tolerance in (("pinholes", 3e-5), ("all of the spread", 0.01)):
         t = transports(case)[0]
         for name in ("1 fringe", "50 fringes"):
             full = t.relight_images(PATTERNS[name][None])
             ours = t.relight(PATTERNS[name][:1])
-            # Without any spread: sums of up to 32 float32 terms in another order, 32 eps.  With it
-            # the full matrix has 32 points a footprint instead of its integral.
+            # Without any spread: weights rounded to 15 bits, 1.5e-5, on either side.  With it the
+            # full matrix has 32 points a footprint instead of its integral.
             white = t.white().max()
             np.testing.assert_allclose(ours, full, rtol=0.0, atol=tolerance * white)
 
@@ -174,8 +174,8 @@ class TestTrace:
         full = full.reshape(-1, HEIGHT, WIDTH)
         for name, axis in (("u", 1), ("v", 2)):
             rows = pinholes.marginals[name].tocsr().toarray()
-            # Up to 32 float32 terms, summed in another order.
-            np.testing.assert_allclose(rows, full.sum(axis=axis), rtol=4e-6, atol=1e-12)
+            # Weights rounded to 15 bits, 1.5e-5, on either side.
+            np.testing.assert_allclose(rows, full.sum(axis=axis), rtol=3.2e-5, atol=1e-12)
             assert np.count_nonzero(rows) > 80 * 60
 
     def test_the_panel_ends_in_both_directions(self, all_marginals):
