@@ -18,7 +18,8 @@ that Monte Carlo noise cannot masquerade as phase noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from itertools import zip_longest
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -97,16 +98,25 @@ def trace(
         name: _rows(projector, name) for name in marginals
     }
     ambient = np.zeros(camera.width * camera.height, np.float32)
-    for first, last in tracer.passes():
-        tracer.run(first, last, builders, ambient)
+    passes = tracer.passes()
+    launched = tracer.launch(*passes[0])
+    for (first, last), following in zip_longest(passes, passes[1:]):
+        wanted, escaped = launched
+        if following:  # the device works while the host adds up
+            launched = tracer.launch(*following)
+        if escaped is not None:
+            ambient[first:last] = escaped.numpy().reshape(last - first, -1).mean(axis=1)
+        block = tracer.samples_of(wanted, last - first)
+        for builder in builders.values():
+            builder.add(block)
         if on_progress:
             on_progress(last / ambient.size)
     rows = {name: builder.result() for name, builder in builders.items()}
     if np.any(fall_off != 1.0):
-        rows = {name: block.scaled(fall_off) for name, block in rows.items()}
+        rows = {name: one.scaled(fall_off) for name, one in rows.items()}
         ambient *= fall_off.astype(np.float32)
     return LightTransport(
-        {name: block.rounded(_BITS) for name, block in rows.items()},
+        {name: one.rounded(_BITS) for name, one in rows.items()},
         ambient.reshape(camera.height, camera.width),
         (projector.width, projector.height),
         tracer.samples,
@@ -165,20 +175,15 @@ class _Tracer:
         step = max(1, _LANES_PER_PASS // (self.samples * (1 + self.bounces)))
         return [(first, min(first + step, pixels)) for first in range(0, pixels, step)]
 
-    def run(
-        self,
-        first: int,
-        last: int,
-        builders: Mapping[Marginal, LineRows | PointRows],
-        ambient: NDArray[np.float32],
-    ) -> None:
-        """Trace pixels `first` to `last` and add their rows."""
+    def launch(self, first: int, last: int) -> tuple[list[list[Any]], Any]:
+        """Start tracing pixels `first` to `last`; return what each bounce and none will have."""
         hits, escaped = self._kernel(first, last)
         wanted = [[hit.weight, *(part[k] for part in hit[1:] for k in range(2))] for hit in hits]
         dr.eval(*wanted, escaped)
-        pixels = last - first
-        if escaped is not None:
-            ambient[first:last] = escaped.numpy().reshape(pixels, -1).mean(axis=1)
+        return wanted, escaped
+
+    def samples_of(self, wanted: list[list[Any]], pixels: int) -> SampleBlock:
+        """Wait for what was launched, and return its samples."""
         weights, *parts = (
             np.concatenate([self._lanes(array, pixels) for array in arrays], axis=1)
             for arrays in zip(*wanted, strict=True)
@@ -186,10 +191,7 @@ class _Tracer:
         axes = {k: (parts[k], parts[k + 2], parts[k + 4]) for k in range(2)}
         # A sample stands for as much of the lens as a pair; its place and that disc together have
         # the variance of the whole.
-        share = 1.0 / math.sqrt(self.pairs)
-        samples = SampleBlock(weights, axes, share, self.samples)
-        for rows in builders.values():
-            rows.add(samples)
+        return SampleBlock(weights, axes, 1.0 / math.sqrt(self.pairs), self.samples)
 
     def _circles(self, first: int, last: int) -> Any:
         """Return the signed circle of confusion of what each pixel's centre sees, px."""
