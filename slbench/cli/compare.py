@@ -11,7 +11,6 @@ from slbench.cli.common import (
     AllowModules,
     Json,
     Preview,
-    SceneName,
     Seed,
     Weights,
     print_json,
@@ -19,6 +18,7 @@ from slbench.cli.common import (
     progress,
 )
 from slbench.cli.lazy import command
+from slbench.core.errors import InputError
 from slbench.core.validation.types import Repeats
 
 if TYPE_CHECKING:
@@ -29,14 +29,24 @@ if TYPE_CHECKING:
 
 @command("slbench compare step-block --set 1,10,50 --set 1,2,4 --set gray --repeats 15 --preview")
 def compare(
-    scene: SceneName,
+    scene: Annotated[
+        str | None, typer.Argument(help="A scene file, or the name of a shipped scene.")
+    ] = None,
     sets: Annotated[
-        list[str],
+        list[str] | None,
         typer.Option(
             "--set", metavar="<str>", help='A pattern set, "1,10,50", "1,8@4", "gray"; give each.'
         ),
-    ],
-    repeats: Annotated[Repeats, typer.Option(help="Scans of each set.")] = 15,
+    ] = None,
+    suite: Annotated[
+        bool,
+        typer.Option(
+            "--suite", help="Instead of one scene, all on which codes are known to differ."
+        ),
+    ] = False,
+    repeats: Annotated[
+        Repeats | None, typer.Option(help="Scans of each set; 5 in a suite.", show_default="15")
+    ] = None,
     equal: Annotated[
         Literal["frames", "photons"] | None,
         typer.Option(help="Give all sets as many frames, or as much light."),
@@ -54,6 +64,17 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Compare pattern sets by repeated scans in the same light."""
+    if suite:
+        given = {"SCENE": scene, "--weights": None if weights == "lit" else weights}
+        for name, value in given.items():
+            if value is not None:
+                raise InputError("--suite", f"no {name}", value)
+        _suite(sets, repeats or 5, equal, out, report, seed, preview, as_json)
+        return
+    if scene is None:
+        raise InputError("SCENE", "a scene, or --suite", "neither")
+    if not sets:
+        raise InputError("--set", "one or more pattern sets", "none")
     from slbench.bench.compare.compare import compare as run
     from slbench.bench.compare.compare import own_shifts
     from slbench.bench.compare.sets import pattern_sets
@@ -77,7 +98,7 @@ def compare(
         result = run(
             loaded,
             sets,
-            repeats=repeats,
+            repeats=repeats or 15,
             equal=equal,
             seed=seed,
             weights=weights,
@@ -95,6 +116,48 @@ def compare(
         if one.note:
             print(f"{{{one.name}}}: {one.note}")
     print(f"Written to {folder}: open {folder / 'comparison.png'}")
+    if report is not None:
+        print(f"Written to {report}")
+
+
+def _suite(
+    sets: list[str] | None,
+    repeats: int,
+    equal: Literal["frames", "photons"] | None,
+    out: Path | None,
+    report: Path | None,
+    seed: int,
+    preview: bool,
+    as_json: bool,
+) -> None:
+    """Run all sets on all scenes."""
+    from slbench.bench.compare.suite import SETS, compare_suite
+    from slbench.report.pages.suite import SUITE_FOLDER, suite_page, suite_tables, write_suite
+
+    if report is not None:
+        from slbench.report.page import check_page_path, write_page
+
+        check_page_path(report, "--report")
+    folder = out or Path("out") / "compare-suite"
+    SUITE_FOLDER.check(folder, "--out")
+    with progress(as_json) as bar:
+        result = compare_suite(
+            sets or SETS,
+            repeats=repeats,
+            equal=equal,
+            seed=seed,
+            preview=preview,
+            on_progress=bar,
+        )
+        write_suite(result, folder)
+        if report is not None:
+            write_page(suite_page(result), report)
+    if as_json:
+        print_json(result.to_dict() | {"out": str(folder)})
+        return
+    for table in suite_tables(result):
+        print_table(table)
+    print(f"Written to {folder}: open {folder / 'suite.md'}")
     if report is not None:
         print(f"Written to {report}")
 

@@ -54,6 +54,7 @@ artefacts: Registry[ArtefactKind] = Registry(
         "circle_grid": "slbench.objects.targets.circle_grid:KIND",
         "coin": "slbench.objects.parts.coin:KIND",
         "micro_lens": "slbench.objects.shapes.microlens:KIND",
+        "bowl": "slbench.objects.shapes.bowl:KIND",
         "pyramid_array": "slbench.objects.shapes.pyramid_array:KIND",
         "sinusoid": "slbench.objects.shapes.sinusoid:KIND",
         "propeller": "slbench.objects.parts.propeller:KIND",

@@ -127,6 +127,24 @@ def test_refused_micro_lenses(change, key):
     check_refused("micro_lens", {}, change, key)
 
 
+def test_a_bowl_is_the_lens_upside_down():
+    parameters = {"radius_of_curvature_mm": 20.0, "aperture_mm": 36.0, "plate_mm": 50.0}
+    parameters |= {"thickness_mm": 15.0, "max_form_error_um": 50.0}
+    lens, bowl = fresh("micro_lens", parameters), fresh("bowl", parameters)
+    check_solid(bowl.mesh)
+    cap = lens.mesh.volume - 50.0**2 * 15.0
+    assert bowl.mesh.volume == pytest.approx(50.0**2 * 15.0 - cap, rel=1e-9)
+    assert bowl.features[1].centre_mm[2] == -lens.features[1].centre_mm[2] > 0.0
+    places = np.array([[0.0, 0.0], [10.0, 5.0], [0.0, -24.0]])
+    sunk, raised = (surface_height(one.mesh, places) for one in (bowl, lens))
+    assert sunk == pytest.approx(-raised, abs=1e-9)
+    assert sunk[0] < -11.0
+
+
+def test_refused_bowls():
+    check_refused("bowl", {}, {"thickness_mm": 11.0}, "thickness_mm: expected at least 11.28")
+
+
 # --- pyramid array ------------------------------------------------------------------------
 
 
@@ -217,14 +235,18 @@ def test_refused_sinusoids(change, key):
 
 
 @pytest.mark.parametrize(
-    ("kind", "parameters"), [("micro_lens", {}), ("pyramid_array", {}), ("sinusoid", WAVE)]
+    ("kind", "parameters"),
+    [("micro_lens", {}), ("bowl", {}), ("pyramid_array", {}), ("sinusoid", WAVE)],
 )
 def test_surfaces_are_repeatable(kind, parameters):
     check_repeatable(kind, parameters)
 
 
-@pytest.mark.parametrize("name", ["micro-lens", "pyramid-array", "sinusoid"])
-def test_shipped_surfaces_are_what_they_certify(name):
+@pytest.mark.parametrize(
+    ("name", "size_mm"),
+    [("micro-lens", 2.0), ("bowl", 50.0), ("pyramid-array", 2.0), ("sinusoid", 2.0)],
+)
+def test_shipped_surfaces_are_what_they_certify(name, size_mm):
     artefact = check_shipped(name)
     check_solid(artefact.mesh)
-    assert np.ptp(artefact.mesh.bounds, axis=0).max() <= 2.0
+    assert np.ptp(artefact.mesh.bounds, axis=0).max() <= size_mm

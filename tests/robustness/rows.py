@@ -147,6 +147,7 @@ BUILD = "objects build o.toml --out out/m.stl"
 #: Those whose building takes a second or more are tried less often.
 ARTEFACTS = {
     "plane": 1.0,
+    "plate": 1.0,
     "step-block-5": 1.0,
     "sphere": 0.5,
     "ball-bar": 0.3,
@@ -156,6 +157,7 @@ ARTEFACTS = {
     "circle-grid": 0.3,
     "calibration-grid": 0.3,
     "micro-lens": 0.3,
+    "bowl": 0.3,
     "brick": 0.3,
     "spur-gear": 0.3,
     "double-helical-gear": 0.1,

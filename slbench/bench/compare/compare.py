@@ -72,7 +72,7 @@ def own_shifts(scene: Scene) -> int:
 @checked
 def compare(
     scene: Scene,
-    sets: Sequence[str],
+    sets: Sequence[str | PatternSet],
     *,
     repeats: types.Repeats = 15,
     equal: Equal | None = None,
@@ -90,7 +90,7 @@ def compare(
     scene : Scene
         Its patterns are replaced; the axes that they code are those of the sets.  With focus
         settings, every repeat is a fused stack.
-    sets : sequence of str
+    sets : sequence of str or PatternSet
         Such as ``"1,10,50"``, ``"1,10,50@4"``, ``"gray"`` (:meth:`PatternSequence.parse`).
     repeats : int
         Scans a set, at least 2 (15 in thesis 7.2).

@@ -79,14 +79,14 @@ class PatternSet:
 
 @checked
 def pattern_sets(
-    texts: Sequence[str], scene: Scene, *, shifts: int = 3, equal: Equal | None = None
+    texts: Sequence[str | PatternSet], scene: Scene, *, shifts: int = 3, equal: Equal | None = None
 ) -> tuple[PatternSet, ...]:
     """Read pattern sets for a scene's panel and make them equal in frames or light.
 
     Parameters
     ----------
-    texts : sequence of str
-        As :meth:`slbench.patterns.PatternSequence.parse` reads them.
+    texts : sequence of str or PatternSet
+        As :meth:`slbench.patterns.PatternSequence.parse` reads them; what is a set already stays.
     scene : Scene
         Its panel, and the axes that its own patterns code.
     shifts : int
@@ -108,6 +108,9 @@ def pattern_sets(
         raise InputError("sets", "one or more pattern sets", repr(texts))
     sets: list[PatternSet] = []
     for text in texts:
+        if isinstance(text, PatternSet):
+            sets.append(text)
+            continue
         name = text.replace(" ", "") if isinstance(text, str) else text
         if name in [one.name for one in sets]:
             raise InputError("sets", "every set once", f"{name} twice")

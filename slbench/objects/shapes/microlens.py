@@ -78,6 +78,16 @@ def build_micro_lens(parameters: MicroLensParameters, name: str, where: str) -> 
         If the cap is nearly a hemisphere or more, does not fit the plate, or no mesh of
         reasonable size keeps the form error.
     """
+    return cap_on_plate(parameters, "micro_lens", "lens", 1.0, name, where)
+
+
+def cap_on_plate(
+    parameters: MicroLensParameters, kind: str, part: str, side: float, name: str, where: str
+) -> Artefact:
+    """Build a cap on a plate; of the kind and with the name of the cap's part that are given.
+
+    It stands on the plate (`side` 1) or is sunk into it (-1).
+    """
     radius, aperture = parameters.radius_of_curvature_mm, parameters.aperture_mm
     if aperture > 1.9 * radius:
         raise InputError(f"{where}.aperture_mm", f"at most {1.9 * radius:g}", aperture)
@@ -96,17 +106,21 @@ def build_micro_lens(parameters: MicroLensParameters, name: str, where: str) -> 
             raise InputError(f"{where}.max_form_error_um", expected, 1e3 * allowed)
         rings = 2 * math.ceil(0.5 * needed)
     base = int(np.count_nonzero(points[:, 2] == 0.0))
+    points, centre = points * [1.0, 1.0, side], side * centre
+    if side < 0.0 and parameters.thickness_mm < 1e-3 - points[:, 2].min():
+        expected = f"at least {1e-3 - points[:, 2].min():.6g}, more than the depth"
+        raise InputError(f"{where}.thickness_mm", expected, parameters.thickness_mm)
     half = 0.5 * parameters.plate_mm
     tile = ring_tile(points[:base], points[base:], faces)
     plate = tiled_plate([-half, half], [-half, half], [[0]], [tile], parameters.thickness_mm)
     lens = (plate.face_numbers >= 0) & (plate.face_numbers < len(faces))
     strip = half - 0.5 * aperture
     margin = _MARGIN * strip
-    side = (-half + margin, half - margin)
-    reference = PlaneFeature(REFERENCE, 0.0, 0.0, side, (-half + margin, -half + strip - margin))
+    along = (-half + margin, half - margin)
+    reference = PlaneFeature(REFERENCE, 0.0, 0.0, along, (-half + margin, -half + strip - margin))
     return Artefact(
         name=name,
-        kind="micro_lens",
+        kind=kind,
         parameters=parameters.model_dump(),
         mesh=plate.mesh,
         certified={
@@ -117,7 +131,7 @@ def build_micro_lens(parameters: MicroLensParameters, name: str, where: str) -> 
             "aperture_mm": aperture,
         },
         features=(reference, SphereFeature("sphere", (0.0, 0.0, centre), radius)),
-        parts={"lens": np.flatnonzero(lens), "plate": np.flatnonzero(~lens)},
+        parts={part: np.flatnonzero(lens), "plate": np.flatnonzero(~lens)},
     )
 
 
@@ -135,8 +149,13 @@ def measure_micro_lens(artefact: Artefact) -> dict[str, float]:
         ``sphere_diameter_mm``, twice the mean distance of the cap's facets from the centre,
         and ``aperture_mm``, twice that of its points at z = 0 from the axis.
     """
+    return measure_cap(artefact, "lens")
+
+
+def measure_cap(artefact: Artefact, part: str) -> dict[str, float]:
+    """Measure the cap of :func:`cap_on_plate`."""
     (sphere,) = (f for f in artefact.features if isinstance(f, SphereFeature))
-    corners = artefact.mesh.vertices[artefact.mesh.faces[artefact.parts["lens"]]]
+    corners = artefact.mesh.vertices[artefact.mesh.faces[artefact.parts[part]]]
     base = corners[corners[:, :, 2] == 0.0]
     return {
         "sphere_diameter_mm": 2.0 * _mean_radius(corners - sphere.centre_mm),
