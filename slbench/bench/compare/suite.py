@@ -229,7 +229,7 @@ def compare_suite(
                     truth=truth,
                 ).sets[0]
             except NothingToCompare as error:
-                why = error.got
+                why = str(error.got)
             outcomes.append(Outcome(scene.name, one.name, result, why))
             report(scene.name, (k + 1) / len(given))
     found = {(one.scene, one.name): one for one in outcomes}
