@@ -37,6 +37,7 @@ from slbench.core.show.drawing import figure
 from slbench.core.validation.types import Measure, MinLen, Word
 from slbench.core.validation.values import validated
 from slbench.patterns import NoiseModel, PhaseMap
+from slbench.patterns.phase import squared_modulation_bias
 from slbench.rig import ALONE, Pair
 
 Array = NDArray[np.float64]
@@ -54,6 +55,10 @@ _BITS: Final = 16
 _SATURATED_SHARE = 0.01
 #: Modulation that is nothing but rounding, DN: there all settings count alike.
 _DARK = 1e-6
+#: Side of the window in which the strongest setting is found, px.
+_NEAR: Final = 3
+#: A modulation of fewer standard errors is taken for noise: one in 44 where there is none.
+_SEEN_SIGMAS: Final = 2.0
 #: Weight of the best setting.
 _FULL = 65535
 
@@ -402,7 +407,11 @@ def modulation_weights(stack: FocusStack, window: int = 9) -> FusionWeights:
     deviation sqrt(sum w_p^2) times that of one: their ratio, and with it the phase, is best for
     w_p in proportion to b_p (the matched filter).  b_p is taken in step with the strongest
     setting's fringes, so that contrast reversed by defocus counts as none, and averaged over a
-    window, so that its own noise does not bias the sum.
+    window.  The noise of the frames takes no part in the mean of a weight: the strongest setting
+    is that of most power around a pixel, its product with itself has the power of noise taken off
+    (:func:`slbench.patterns.phase.squared_modulation_bias`), and what is less than twice its own
+    standard error counts as none, so that settings whose fringes are lost do not add noise.
+    Without a noise model of the captures, rounding is the only noise that is known.
 
     Parameters
     ----------
@@ -420,25 +429,36 @@ def modulation_weights(stack: FocusStack, window: int = 9) -> FusionWeights:
     if finest is None:
         raise InputError("focus stack", "fringes, for weights by modulation", sequence.name)
     check_window(window, 1)
+    noise = stack.captures[0].noise or NoiseModel()
     waves: list[Any] = []  # the largest thing here: eight bytes a pixel and setting
+    near = (min(window, _NEAR),) * 2
     for setting in range(len(stack)):
         frames = np.stack([stack.frame(setting, k) for k in finest.frames])
-        phase, modulation, _ = finest.code.relative_phase(frames)
+        phase, modulation, mean = finest.code.relative_phase(frames)
         waves.append((modulation * np.exp(1j * phase)).astype(np.complex64))
-    reference, strongest = waves[0].copy(), np.abs(waves[0])
-    best = np.zeros(reference.shape, dtype=np.intp)
-    for setting, wave in enumerate(waves[1:], 1):
-        strength = np.abs(wave)
-        better = strength > strongest
-        best[better], strongest[better] = setting, strength[better]
-        reference[better] = wave[better]
-    reference = np.conj(reference) / np.maximum(np.abs(reference), 1e-12)
+        bias = squared_modulation_bias(noise.variance(mean), len(frames)).astype(np.float32)
+        power = cv2.blur(np.square(modulation, dtype=np.float32) - bias, near)
+        if setting == 0:
+            reference, most, noise_power = waves[0].copy(), power, bias
+            best = np.zeros(power.shape, dtype=np.intp)
+            continue
+        better = power > most
+        best[better], most[better], noise_power[better] = setting, power[better], bias[better]
+        reference[better] = waves[setting][better]
+    # The modulation of the strongest: of noise alone, what noise has.
+    scale = 1.0 / np.sqrt(np.maximum(most, np.maximum(noise_power, _DARK**2)))
+    reference = scale * np.conj(reference)
+    square = cv2.blur(0.5 * noise_power * np.abs(reference) ** 2, (window, window))
+    least = (_SEEN_SIGMAS / window) * np.sqrt(square.clip(min=0.0))  # of rounded sums
     peak = np.zeros(reference.shape, dtype=np.float32)
     for setting, wave in enumerate(waves):
-        in_step = cv2.blur((wave * reference).real, (window, window)).clip(min=0.0)
+        product = (wave * reference).real
+        product -= np.where(best == setting, noise_power * scale, np.float32(0.0))
+        in_step = cv2.blur(product, (window, window))
+        in_step[in_step < np.maximum(least, _DARK)] = 0.0
         waves[setting] = in_step  # and the wave is let go
         np.maximum(peak, in_step, out=peak)
-    seen = peak > _DARK
+    seen = peak > 0.0
     largest = np.where(seen, peak, 1.0)
     weights = np.empty((len(waves), *peak.shape), dtype=np.uint16)
     for setting, in_step in enumerate(waves):

@@ -19,10 +19,22 @@ shot noise), the sum of var_k sin^2 over the shifts gives
 shot noise leaves a third harmonic with three shifts and none with more.  The panel
 coordinate is u = Phi W / (2 pi n) - 1/2, its standard deviation W / (2 pi n) times that of
 the phase, provided that the fringe order is right (:func:`order_error_probability`).
+
+Noise never lessens a modulation on average.  2 C / N and 2 S / N have noise of a variance
+2 v / N each, v being the mean variance of the frames, so that the measured b_hat is Rice
+distributed (S. O. Rice, Bell System Technical Journal 24, 1945, sec. 3.10):
+
+    E b_hat^2 = b^2 + 4 v / N,   E b_hat = sqrt(pi v / N) for b = 0.
+
+The first is exact whatever the distribution of the noise.  Weights take it off
+(:func:`squared_modulation_bias`), so that fringes that are lost weigh nothing.  A limit to the
+ratio b_hat / sqrt(v) needs no correction, as its own distribution is known: noise alone passes a
+limit m with the probability exp(-N m^2 / 4), 0.0012 for m = 3 and N = 3
+(:func:`false_modulation_probability`).
 """
 
-from math import pi, sqrt
-from typing import overload
+from math import exp, pi, sqrt
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,6 +80,39 @@ def relative_phase(frames: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArra
     phase[phase >= 2.0 * pi] = 0.0  # a tiny negative angle rounds up to 2 pi
     modulation = 2.0 / stack.shape[0] * np.hypot(cosine, sine)
     return phase, modulation, stack.mean(axis=0, dtype=np.float64)
+
+
+def squared_modulation_bias(variance: ArrayLike, shifts: int) -> Any:
+    """Return what noise adds to the mean of a squared modulation, b_hat^2 - b^2.
+
+    Parameters
+    ----------
+    variance : array_like
+        Variance v of one frame, DN^2, any shape; the mean over the frames where they differ.
+    shifts : int
+        Number N of frames.
+
+    Returns
+    -------
+    ndarray or float
+        4 v / N, of the shape and type of the variance.
+    """
+    return np.multiply(variance, 4.0 / shifts)
+
+
+def false_modulation_probability(min_snr: float, shifts: int) -> float:
+    """Return the probability that noise alone has a modulation of `min_snr` deviations or more.
+
+    exp(-N m^2 / 4): the modulation of Gaussian noise is Rayleigh distributed.
+
+    Parameters
+    ----------
+    min_snr : float
+        Modulation over the standard deviation of one frame, m.
+    shifts : int
+        Number N of frames.
+    """
+    return exp(-0.25 * shifts * min_snr * min_snr)
 
 
 def unwrap(

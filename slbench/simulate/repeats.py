@@ -93,8 +93,8 @@ def repeated_phases(
     -------
     phases : (repeats, k, P) float
         Relative phase, rad; NaN where a frame is saturated.
-    modulation : (k, P) float
-        Mean modulation, DN.
+    modulation : (repeats, k, P) float
+        DN.
     """
     parts = tuple(Fringes(n, shifts) for n in fringes)
     panel = (scene.rig.projector.width, scene.rig.projector.height)
@@ -104,14 +104,13 @@ def repeated_phases(
     else:
         captures = _fused_frames(patterned, transports, pixels, repeats, seed, weights)
     phases = np.empty((repeats, len(parts), len(pixels)))
-    modulation = np.zeros(phases.shape[1:])
+    modulation = np.empty(phases.shape)
     for r, values in enumerate(captures):
         saturated = values >= scene.detector.saturation_dn
         for k in range(len(parts)):
             own = slice(k * shifts, (k + 1) * shifts)
-            phase, strength, _ = relative_phase(values[own, np.newaxis])
+            phase, (modulation[r, k],), _ = relative_phase(values[own, np.newaxis])
             phases[r, k] = np.where(saturated[own].any(axis=0), np.nan, phase[0])
-            modulation[k] += strength[0] / repeats
         if on_progress:
             on_progress((r + 1) / repeats)
     return phases, modulation

@@ -23,6 +23,7 @@ from slbench.patterns import (
     unwrap,
 )
 from slbench.patterns.kernels.fringes import angle
+from slbench.patterns.phase import false_modulation_probability, squared_modulation_bias
 
 ROUNDLESS = NoiseModel(step_dn=0.0)
 
@@ -222,6 +223,46 @@ def test_masks():
     )
     noisy = decode(frames, sequence, noise=NoiseModel(read_dn=40.0))  # 100 / 40 < 3
     assert not noisy.mask.any()
+
+
+@pytest.mark.parametrize(("shifts", "min_snr"), [(3, 1.5), (4, 1.0), (3, 3.0)])
+@pytest.mark.parametrize("contrast", [0.0, 0.5, 2.0])
+def test_noise_passes_a_limit_with_the_stated_probability(shifts, min_snr, contrast):
+    # 400,000 pixels of fringes that are weaker than noise of 5 DN: the ratio of modulation to
+    # noise is Rice distributed.  A share of pixels is compared within four binomial deviations.
+    sigma, count = 5.0, 400_000
+    rng = np.random.default_rng(shifts)
+    sequence = PatternSequence((64, 1), (Fringes(1, shifts),))
+    frames = photograph(sequence, {"u": np.full((1, count), 31.0)}, b=contrast * sigma)
+    frames += sigma * rng.standard_normal(frames.shape)
+    noise = NoiseModel(read_dn=sigma, step_dn=0.0)
+    found = decode(frames, sequence, noise=noise, min_modulation=0.0, min_snr=min_snr)
+    seen = found.modulation >= min_snr * sigma  # the mask leaves out the panel's ends too
+    np.testing.assert_array_less(found.mask, seen + 0.5)
+    scale = np.sqrt(2.0 / shifts)  # of either component of the modulation, frames' deviations
+    expected = stats.rice.sf(min_snr, contrast / scale, scale=scale)
+    if contrast == 0.0:
+        assert expected == pytest.approx(false_modulation_probability(min_snr, shifts), rel=1e-9)
+    error = np.sqrt(expected * (1.0 - expected) / count)
+    assert seen.mean() == pytest.approx(expected, abs=4.0 * error)
+
+
+@pytest.mark.parametrize("shifts", [3, 4, 7])
+@pytest.mark.parametrize("b", [0.0, 1.0, 10.0])
+def test_the_bias_of_a_squared_modulation(shifts, b):
+    # Shot noise, whose variance differs from frame to frame, of 2 DN a DN, and noise of 4 DN.
+    rng = np.random.default_rng(7)
+    exact = photograph(PatternSequence((64, 1), (Fringes(1, shifts),)), {"u": np.zeros(1)}, 50, b)
+    frames = exact[:, :, None] + rng.standard_normal((shifts, 1, 300_000)) * np.sqrt(
+        16.0 + 2.0 * exact[:, :, None]
+    )
+    square = np.square(relative_phase(frames)[1])
+    bias = squared_modulation_bias(16.0 + 2.0 * 50.0, shifts)
+    error = square.std() / np.sqrt(square.size)
+    assert square.mean() - bias == pytest.approx(b**2, abs=4.0 * error)
+    if b == 0.0:  # and of the modulation itself
+        mean = relative_phase(frames)[1].mean()
+        assert mean == pytest.approx(np.sqrt(np.pi * 116.0 / shifts), rel=0.004)
 
 
 def test_saturation_defaults_to_the_top_of_integer_types():

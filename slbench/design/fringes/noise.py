@@ -233,8 +233,8 @@ def noise_of_captures(
     estimator : {"per-pixel", "pooled"}
         As of :func:`estimate_noise`.
     min_modulation : float
-        Least modulation, DN, of the pixels that count, in the mean of all captures; saturated
-        pixels never count.
+        Least modulation, DN, of the pixels that count, from products of different captures, whose
+        noise is independent and adds nothing; saturated pixels never count.
     names : sequence of str, optional
         Of the captures, for messages.
 
@@ -262,14 +262,17 @@ def noise_of_captures(
     counts = [own.code.fringe_count for own in sets]
     usable = []
     for own in sets:
-        modulation = np.zeros(captures[0].frames.shape[1:])
-        valid = np.ones(modulation.shape, bool)
+        shape = captures[0].frames.shape[1:]
+        wave, power, valid = np.zeros(shape, complex), np.zeros(shape), np.ones(shape, bool)
         for shot in captures:
             top = shot.saturation_dn or 2**shot.bit_depth - 1
             frames = shot.frames[own.frames]
             valid &= (frames < top).all(axis=0)
-            modulation += own.code.relative_phase(frames)[1] / len(captures)
-        usable.append(valid & (modulation >= min_modulation))
+            phase, modulation, _ = own.code.relative_phase(frames)
+            wave += modulation * np.exp(1j * phase)
+            power += modulation**2
+        square = (np.abs(wave) ** 2 - power) / (len(captures) * (len(captures) - 1))
+        usable.append(valid & (np.maximum(square, 0.0) >= min_modulation**2))
     if not usable[0].any():
         where = f"captures: {counts[0]} fringes"
         raise InputError(where, f"a pixel with modulation >= {min_modulation} DN", "none")

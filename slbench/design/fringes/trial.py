@@ -37,6 +37,7 @@ from slbench.design.fringes.chain import any_error, unwrapping_chain
 from slbench.design.fringes.design import SequenceDesign
 from slbench.design.fringes.noise import PhaseNoise, estimate_noise
 from slbench.patterns import NoiseModel
+from slbench.patterns.phase import squared_modulation_bias
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.repeats import plate_scene, repeated_phases
@@ -198,7 +199,7 @@ def noise_of_scene(
         for k, n in enumerate(fringes):
             # In step with the true phase: noise has no such modulation, and beyond a zero of the
             # lens's transfer function it is negative, as the fringes are half a period off.
-            in_step = modulation[k] * np.cos(phases[:, k] - 2.0 * np.pi * n * turns)
+            in_step = modulation[:, k] * np.cos(phases[:, k] - 2.0 * np.pi * n * turns)
             if np.nanmean(in_step) >= _MIN_MODULATION:
                 sigma[k, j] = estimate_noise(phases[:, k]).sigma_rad
     return PhaseNoise(np.array(fringes, np.int64), sigma, heights, shifts)
@@ -314,12 +315,15 @@ class _ModelNoise:
         for placed in self._sets:
             own = placed.frames
             mean_frames = self._sum[own, np.newaxis] / self._captures
-            phase, modulation, mean = (part[0] for part in placed.code.relative_phase(mean_frames))
+            phase, measured, mean = (part[0] for part in placed.code.relative_phase(mean_frames))
             variance = self._noise.variance(mean)
+            left = variance * (self._gain / self._captures) ** 2 / self._captures  # by the mean
+            square = measured**2 - squared_modulation_bias(left, len(own))
+            modulation = np.sqrt(np.maximum(square, 1e-18))
             if len(own) == 3:  # the third harmonic of shot noise
                 third = self._noise.gain_dn_per_e * modulation * np.cos(3.0 * phase)
                 variance = variance - 0.5 * third
-            rows.append(np.sqrt(2.0 / len(own) * variance) / np.maximum(modulation, 1e-9))
+            rows.append(np.sqrt(2.0 / len(own) * variance) / modulation)
         return np.minimum(np.array(rows) * self._gain / self._captures, _NO_PHASE)
 
 

@@ -223,6 +223,18 @@ def test_a_set_that_is_washed_out_is_infinite_and_the_rest_goes_on():
     assert found.measurable() == [1, 4]
 
 
+@pytest.mark.parametrize("repeats", [2, 8])
+def test_noise_is_not_taken_for_fringes(repeats):
+    # The modulation of noise of 40 DN alone is 41 DN on average, in however many captures; products
+    # of two captures are zero on average, and more than the least modulation of 3 DN squared on
+    # less than half of the pixels.
+    captures = shots("1,4,12", 40.0, repeats=repeats)
+    rng = np.random.default_rng(3)
+    for shot in captures:
+        shot.frames[6:] = np.rint(500.0 + rng.normal(0.0, 40.0, (3, 80, 120)))
+    assert noise_of_captures(captures).measurable() == [1, 4]
+
+
 @pytest.mark.parametrize(("rows", "lost"), [(30, False), (50, True)])
 def test_all_sets_are_estimated_on_the_pixels_that_all_measured_sets_have(rows, lost):
     """Of 80 rows, the first have no fine fringes, and twice the noise in all sets."""

@@ -91,7 +91,7 @@ def test_repeated_phases_are_those_of_whole_frames(block):
     # The noise of one fringe is 1.2 px here; five deviations of the mean of thousands.
     np.testing.assert_allclose(np.median(coordinate - true), 0.0, atol=0.1)
     assert phases.shape == (2, 2, len(pixels))
-    assert modulation.shape == (2, len(pixels))
+    assert modulation.shape == (2, 2, len(pixels))
     assert np.all(modulation > 10.0)
 
 
