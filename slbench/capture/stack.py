@@ -434,7 +434,7 @@ def modulation_weights(stack: FocusStack, window: int = 9) -> FusionWeights:
     near = (min(window, _NEAR),) * 2
     for setting in range(len(stack)):
         frames = np.stack([stack.frame(setting, k) for k in finest.frames])
-        phase, modulation, mean = finest.code.relative_phase(frames)
+        phase, modulation, mean = finest.code.relative_phase(frames, sequence.panel)
         waves.append((modulation * np.exp(1j * phase)).astype(np.complex64))
         bias = squared_modulation_bias(noise.variance(mean), len(frames)).astype(np.float32)
         power = cv2.blur(np.square(modulation, dtype=np.float32) - bias, near)

@@ -151,7 +151,7 @@ def _feature_rows(scores: ScanScores) -> list[tuple[str, str]]:
     if fusion is not None:
         rows += [
             (
-                f"phase of {fusion.finest} fringes, {place} the depth of field",
+                f"phase of {fusion.finest:g} fringes, {place} the depth of field",
                 f"fused {fused.phase_rms:.4f} rad, middle setting {middle.phase_rms:.4f} rad",
             )
             for place, fused, middle in (

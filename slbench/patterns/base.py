@@ -14,9 +14,10 @@ Three things are kept apart:
   (:class:`Found`), and :meth:`Code.check_run`, which refuses what could not be.
 
 **Runs.**  Adjacent codes of one family along the same axes are decoded together, as a
-:class:`Run`: consecutive fringe sets are then one pass over their frames.  The short text puts
-them into one word likewise (``1,10,50@4``).  Codes of other axes and frames that code nothing
-may stand between them.
+:class:`Run`.  The short text puts them into one word likewise (``1,10,50@4``).  Codes of other
+axes and frames that code nothing may stand between them.  A family that refines
+(:attr:`Code.refines`) has one run an axis, after all others: all fringe sets are one pass over
+their frames, in whatever order they were shown.
 
 **What the interface carries.**  Every planned key and code, and where it goes:
 
@@ -34,10 +35,12 @@ Gray: ``code``, ``bits``,          fields; `n_frames` and `profile` count and sh
                                    frames have the mean of the scene where their profiles have
                                    one mean at every panel place, which follows from `profile`
 ``threshold = "range"``, a number  the code's own frames
-``use_bits``, ``unwrap``,          fields of :class:`Observed`, as `min_modulation` is
+``unwrap``                         field of :class:`Run`, as `check_run` needs it too
+``use_bits``,                      fields of :class:`Observed`, as `min_modulation` is
 ``max_order_residual``
-codes in any order                 :meth:`PatternSequence.runs` chooses the order of decoding;
-                                   `check_run` says what a family needs to have before it
+codes in any order                 :meth:`PatternSequence.runs` chooses the order of decoding
+                                   (:attr:`Code.refines`); `check_run` says what a family needs
+                                   to have before it
 heterodyne, number-theoretic       all sets of an axis are in one run
 relative phase as the result       :attr:`Found.relative`
 ``images``, decoded by matching    `varies` = "uv", `image`, and a `decode_run` that returns both
@@ -76,6 +79,8 @@ AnyFloatArray = NDArray[np.float32] | NDArray[np.float64]
 Variation = Literal["u", "v", "uv"]
 #: Panel width and height, px.
 Panel = tuple[int, int]
+#: What tells fringes apart (:mod:`slbench.patterns.fringes.ways`).
+Unwrap = Literal["auto", "sequential", "gray", "heterodyne", "number-theoretic", "spatial", "none"]
 
 
 def extent(panel: Panel, axis: Axis) -> int:
@@ -96,6 +101,9 @@ class Code(Value, ABC):
     """Name in the registry and in tables (``kind = "fringes"``)."""
     words: ClassVar[tuple[str, ...]] = ()
     """What the short text has for the family, for messages: ``("gray",)``."""
+    refines: ClassVar[bool] = False
+    """Whether the family is decoded after all others of its axes, as one run, wherever it stands:
+    fringes, which a coarser code tells apart."""
 
     # What was shown.
 
@@ -206,15 +214,20 @@ class Code(Value, ABC):
 
     # How a relative value is estimated.
 
-    @property
-    def fringe_count(self) -> int | None:
-        """Periods across the panel, if the frames are shifted fringes; otherwise None."""
+    def fringe_count(self, panel: Panel) -> float | None:
+        """Return the periods across the panel if the frames are shifted fringes, else None.
+
+        Any real number; an int where it is whole.
+        """
         return None
 
-    def relative_phase(self, frames: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def relative_phase(
+        self, frames: ArrayLike, panel: Panel
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return relative phase, modulation and mean, (V, U) each, of its frames (N, V, U).
 
-        For a code with a :attr:`fringe_count`.
+        For a code with a :meth:`fringe_count`; the phase is that of fringes that begin at the
+        panel's edge.
         """
         raise NotImplementedError(f"{type(self).__name__} has no phase")
 
@@ -276,12 +289,18 @@ class Run:
     Parameters
     ----------
     parts : tuple of Placed
+    panel : (int, int)
+        Width and height of the panel, px.
+    unwrap : str
+        What is to tell fringes apart; "auto" chooses it from what is there.
     searched : tuple of int
         Frames to search for saturated and non-finite pixels, where the family can do so while
         it reads them anyway; see :attr:`Found.complete`.
     """
 
     parts: tuple[Placed, ...]
+    panel: Panel
+    unwrap: Unwrap = "auto"
     searched: tuple[int, ...] = ()
 
     __repr__ = brief
@@ -305,6 +324,8 @@ class Observed:
     ----------
     pixels : (N, P) uint8, uint16, float32 or float64
         Frames in digital numbers, one row each, contiguous.
+    shape : (int, int)
+        Rows and columns of a frame, P in all: for what looks at neighbours.
     panel : (int, int)
         Width and height of the panel, px.
     codes : tuple of Placed
@@ -314,17 +335,21 @@ class Observed:
         Value at and above which a pixel is saturated.
     min_modulation, min_snr : float
         Least modulation, DN, and its least ratio to the noise of a frame.
+    max_order_residual : float
+        Largest residual of a fringe order that is believed, turns.
     keep_relative, keep_evidence : bool
         Whether :attr:`Found.relative` and :attr:`Found.evidence` are wanted.
     """
 
     pixels: NDArray[Any]
+    shape: tuple[int, int]
     panel: Panel
     codes: tuple[Placed, ...]
     noise: NoiseModel
     saturation: float
     min_modulation: float
     min_snr: float
+    max_order_residual: float
     keep_relative: bool
     keep_evidence: bool
 
@@ -366,7 +391,7 @@ class Found:
     mean: AnyFloatArray
     mask: NDArray[np.bool_]
     complete: bool = False
-    relative: tuple[tuple[int, FloatArray], ...] = ()
+    relative: tuple[tuple[float, FloatArray], ...] = ()
     evidence: Mapping[int, Mapping[str, AnyFloatArray]] = field(default_factory=dict)
 
     __repr__ = brief

@@ -45,7 +45,9 @@ class PhaseMap:
     mask : (V, U) bool
         True where every coded axis was measured.
     relative : dict of axis to list of (fringes, (V, U) float64)
-        Relative phase in [0, 2 pi) of every fringe set, unmasked; empty unless asked for.
+        Relative phase in [0, 2 pi) of every fringe set, unmasked; empty unless asked for.  Where
+        ``sequence.unwrap`` is "none" they are the result: they are always there, NaN where they
+        are not measured, and there is no coordinate anywhere.
     evidence : dict of part index to dict of name to (..., V, U) float32 or float64
         By what the coordinate may be judged, unmasked; empty unless asked for.  Fringe sets
         that are unwrapped have ``order_residual``: the fringe order less the whole number it is
@@ -58,7 +60,7 @@ class PhaseMap:
     modulation: NDArray[np.float32]
     mean: NDArray[np.float32]
     mask: NDArray[np.bool_]
-    relative: dict[Axis, list[tuple[int, FloatArray]]]
+    relative: dict[Axis, list[tuple[float, FloatArray]]]
     evidence: dict[int, dict[str, AnyFloatArray]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -85,19 +87,21 @@ def decode(
     saturation: float | None = None,
     min_modulation: float = MIN_MODULATION_DN,
     min_snr: float = 3.0,
+    max_order_residual: float | None = None,
     keep_relative: bool = False,
     keep_evidence: bool = False,
 ) -> PhaseMap:
     """Decode the frames of a sequence to panel coordinates with their standard deviations.
 
-    Fringe sets are unwrapped one from the other in the order given.  The first must have
-    one fringe, unless a Gray code of the same axis came before: its column is then the
-    reference.  The Gray column is known to half a pixel, so fringes after it should have a
-    period well above one pixel.  A Gray code alone gives the whole column, with the
-    standard deviation 1 / sqrt(12) of a uniform error.
+    The fringe sets of an axis come in any order; the finest gives the coordinate, and what tells
+    its fringes apart is chosen from what is there or forced by ``sequence.unwrap``
+    (:mod:`slbench.patterns.fringes.ways`): a Gray code of the same axis, a set of one fringe,
+    several periods, the neighbours, or nothing.  The Gray column is known to half a pixel, so
+    fringes beside it should have a period well above one pixel.  A Gray code alone gives the
+    whole column, with the standard deviation 1 / sqrt(12) of a uniform error.
 
-    *Ends of the panel.*  Fringes alone code the panel as a circle on which the first
-    column follows the last.  The final phase is therefore taken modulo the whole panel:
+    *Ends of the panel.*  Whole numbers of fringes alone code the panel as a circle on which the
+    first column follows the last.  The final phase is therefore taken modulo the whole panel:
     where the one-fringe phase has slipped past an end, the finest fringes bring the pixel
     back to the right end.  Within three standard deviations of an end even they cannot
     tell one end from the other, and the pixel is masked out.  A Gray code tells the ends
@@ -119,6 +123,9 @@ def decode(
         Least modulation of every fringe set, in DN.
     min_snr : float
         Least ratio of every set's modulation to the noise of a single frame.
+    max_order_residual : float, optional
+        Largest residual of a fringe order that is believed, turns; the sequence's by default, and
+        a half believes all.
     keep_relative : bool
         Keep the relative phases too.
     keep_evidence : bool
@@ -128,8 +135,8 @@ def decode(
     -------
     PhaseMap
         A pixel is masked out when any frame of it is saturated or not finite, when the
-        modulation of any fringe set is below either limit, or near the ends of the panel
-        as said above.
+        modulation of any fringe set is below either limit, when the residual of a fringe order
+        is beyond its limit, or near the ends of the panel as said above.
 
     Raises
     ------
@@ -140,6 +147,10 @@ def decode(
     for name, value in (("min_modulation", min_modulation), ("min_snr", min_snr)):
         if not (np.isfinite(value) and value >= 0.0):
             raise InputError(f"decode: {name}", "a number >= 0", value)
+    if max_order_residual is None:
+        max_order_residual = sequence.max_order_residual
+    elif not 0.0 < max_order_residual <= 0.5:
+        raise InputError("decode: max_order_residual", "a number in (0, 0.5]", max_order_residual)
     if saturation is None:
         integer = pixels.dtype.kind == "u"
         saturation = float(np.iinfo(pixels.dtype).max) if integer else inf
@@ -147,12 +158,14 @@ def decode(
         raise InputError("decode: saturation", "a number", saturation)
     observed = Observed(
         pixels=pixels,
+        shape=frames.shape[1:],
         panel=sequence.panel,
         codes=tuple(sequence.placed()),
         noise=NoiseModel() if noise is None else noise,
         saturation=saturation,
         min_modulation=min_modulation,
         min_snr=min_snr,
+        max_order_residual=max_order_residual,
         keep_relative=keep_relative,
         keep_evidence=keep_evidence,
     )
@@ -169,12 +182,12 @@ def decode(
 
     shape = frames.shape[1:]
     found: dict[Axis, Found] = {}
-    relative: dict[Axis, list[tuple[int, FloatArray]]] = {}
+    relative: dict[Axis, list[tuple[float, FloatArray]]] = {}
     evidence: dict[int, dict[str, AnyFloatArray]] = {}
     for run in runs:
         for axis, one in run.family.decode_run(run, observed, found).items():
             found[axis] = one
-            if keep_relative:
+            if one.relative:
                 phases = [(n, phi.reshape(shape)) for n, phi in one.relative]
                 relative[axis] = relative.get(axis, []) + phases
             for part, values in one.evidence.items():

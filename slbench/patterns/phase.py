@@ -5,6 +5,8 @@ Relative phase for any number N >= 3 of shifts (thesis eq. 23 is N = 3):
     C = sum I_k cos(2 pi k / N),  S = sum I_k sin(2 pi k / N),
     phi = atan2(S, C) mod 2 pi,   b = 2 / N sqrt(C^2 + S^2),   a = mean I_k.
 
+Any other list of shifts has weights of its own in these sums, by least squares.
+
 Sequential active unwrapping (thesis eq. 24 and 26) takes the absolute phase of n fringes
 to that of m fringes, pixel by pixel:
 
@@ -44,13 +46,37 @@ from slbench.core.errors import InputError
 FloatArray = NDArray[np.float64]
 
 
-def relative_phase(frames: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the relative phase of one set of N >= 3 equally shifted frames.
+def frame_weights(steps: FloatArray) -> FloatArray:
+    """Return the least-squares weights of frames a + b cos(phi - e_k), (N, 3).
+
+    They are those of b cos phi, b sin phi and a, scaled by N / 2, N / 2 and N, which makes them
+    cos e_k, sin e_k and 1 for equal steps of a whole turn.
+
+    Parameters
+    ----------
+    steps : (N,) float64
+        Shifts e_k, rad, at least three distinct phases.
+    """
+    count = len(steps)
+    design = np.stack([np.cos(steps), np.sin(steps), np.ones(count)], axis=1)
+    gram = design.T @ design
+    equal = np.diag([0.5 * count, 0.5 * count, float(count)])
+    if np.abs(gram - equal).max() < 1e-9 * count:  # orthogonal: equal steps of a whole turn
+        return design
+    return np.asarray(design @ np.linalg.inv(gram) @ equal)
+
+
+def relative_phase(
+    frames: ArrayLike, steps: ArrayLike | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the relative phase of one set of N >= 3 shifted frames, by least squares.
 
     Parameters
     ----------
     frames : (N, V, U) array_like
-        Frames with shifts 2 pi k / N, k = 0..N-1.
+        Frames a + b cos(phase - e_k).
+    steps : (N,) array_like, optional
+        The shifts e_k, rad; 2 pi k / N, k = 0..N-1 by default.
 
     Returns
     -------
@@ -64,22 +90,31 @@ def relative_phase(frames: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArra
     Raises
     ------
     InputError
-        For anything but a stack of at least three frames.
+        For anything but a stack of at least three frames, or steps that are not one a frame.
     """
     stack = np.asarray(frames)
     if stack.ndim != 3 or stack.shape[0] < 3 or stack.size == 0:
         raise InputError("relative_phase: frames", "shape (N >= 3, V, U)", stack.shape)
-    shift = 2.0 * pi * np.arange(stack.shape[0]) / stack.shape[0]
+    if steps is None:
+        shifts = 2.0 * pi * np.arange(stack.shape[0]) / stack.shape[0]
+        weights = np.stack([np.cos(shifts), np.sin(shifts), np.ones(len(shifts))], axis=1)
+    else:
+        shifts = np.asarray(steps, dtype=np.float64)
+        if shifts.shape != (len(stack),):
+            raise InputError("relative_phase: steps", f"shape ({len(stack)},)", shifts.shape)
+        weights = frame_weights(shifts)
     cosine = np.zeros(stack.shape[1:])
     sine = np.zeros(stack.shape[1:])
-    for frame, angle in zip(stack, shift, strict=True):  # frame by frame: bounds the memory
-        cosine += np.cos(angle) * frame
-        sine += np.sin(angle) * frame
+    for frame, (c, s, _) in zip(stack, weights, strict=True):  # one by one: bounds the memory
+        cosine += c * frame
+        sine += s * frame
     phase = np.arctan2(sine, cosine)
     phase[phase < 0.0] += 2.0 * pi
     phase[phase >= 2.0 * pi] = 0.0  # a tiny negative angle rounds up to 2 pi
     modulation = 2.0 / stack.shape[0] * np.hypot(cosine, sine)
-    return phase, modulation, stack.mean(axis=0, dtype=np.float64)
+    if steps is None:
+        return phase, modulation, stack.mean(axis=0, dtype=np.float64)
+    return phase, modulation, np.tensordot(weights[:, 2] / len(weights), stack, axes=1)
 
 
 def squared_modulation_bias(variance: ArrayLike, shifts: int) -> Any:

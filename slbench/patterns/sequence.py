@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -25,18 +25,22 @@ from slbench.core.registry import quoted
 from slbench.core.show.display import block
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
-from slbench.core.validation.types import MinLen, Pixels
+from slbench.core.validation.types import MinLen, OrderResidual, Pixels
 from slbench.core.validation.values import Value, checked, validated
 from slbench.patterns.base import (
     Axis,
     Code,
     Placed,
     Run,
+    Unwrap,
     Variation,
     extent,
     flat_frames,
 )
 from slbench.patterns.registry import pattern_codes
+
+#: Largest residual of a fringe order that is believed, turns, unless said otherwise.
+MAX_ORDER_RESIDUAL = 0.3
 
 
 @dataclass(frozen=True)
@@ -63,6 +67,13 @@ class PatternSequence(Value):
         Panel width W and height H in pixels.
     parts : tuple of Code
         What is shown, in order of time.
+    unwrap : str
+        What tells fringes apart (:mod:`slbench.patterns.fringes.ways`): "auto" chooses from what
+        is there; "sequential", "gray", "heterodyne", "number-theoretic", "spatial" and "none"
+        force it.
+    max_order_residual : float
+        Largest residual of a fringe order that is believed, turns: the order before it is rounded
+        less the whole number that it is rounded to.  A half believes all.
 
     Raises
     ------
@@ -73,6 +84,8 @@ class PatternSequence(Value):
 
     panel: tuple[Pixels, Pixels]
     parts: Annotated[tuple[Code, ...], MinLen(1)]
+    unwrap: Unwrap = "auto"
+    max_order_residual: OrderResidual = MAX_ORDER_RESIDUAL
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -115,9 +128,9 @@ class PatternSequence(Value):
     def name(self) -> str:
         """Short text such as ``"gray+1,10,50@4"``, which :meth:`parse` reads back.
 
-        The coded axes are not part of it, and what the short text has no word for (a grey
-        flat, a Gray code without inverses, two axes coded differently) is shown but not
-        parsed.
+        The coded axes are not part of it, nor are `unwrap` and `max_order_residual`; and what the
+        short text has no word for (a grey flat, a Gray code without inverses, two axes coded
+        differently, the direction of fringes) is shown but not parsed.
         """
         texts = {axis: self._text((axis,)) for axis in self.axes}
         if len(set(texts.values())) > 1:
@@ -147,9 +160,13 @@ class PatternSequence(Value):
             raise InputError("decode: sequence", "fringes or a Gray code", self.name)
         groups: list[list[Placed]] = []
         latest: dict[Axis, list[Placed]] = {}  # the group that codes each axis so far
+        refining: dict[tuple[type[Code], tuple[Axis, ...]], list[Placed]] = {}
         for placed in self.placed():
             code = placed.code
             if not code.axes:
+                continue
+            if code.refines:
+                refining.setdefault((type(code), code.axes), []).append(placed)
                 continue
             group = latest.get(code.axes[0], [])
             adjacent = all(latest.get(axis) is group for axis in code.axes)
@@ -159,7 +176,8 @@ class PatternSequence(Value):
             else:
                 groups.append([placed])
                 latest.update(dict.fromkeys(code.axes, groups[-1]))
-        runs = [Run(tuple(group)) for group in groups]
+        groups += refining.values()
+        runs = [Run(tuple(group), self.panel, self.unwrap) for group in groups]
         for i, run in enumerate(runs):
             run.family.check_run(run, [r for r in runs[:i] if set(r.axes) & set(run.axes)])
         return runs
@@ -169,19 +187,22 @@ class PatternSequence(Value):
         return [
             placed
             for placed in self.placed()
-            if placed.code.fringe_count is not None and (axis is None or axis in placed.code.axes)
+            if placed.code.fringe_count(self.panel) is not None
+            and (axis is None or axis in placed.code.axes)
         ]
 
     @checked
-    def fringe_counts(self, axis: Axis) -> tuple[int, ...]:
-        """Return the fringe counts along `axis`, in order of projection."""
-        counts = (placed.code.fringe_count for placed in self.fringe_sets(axis))
+    def fringe_counts(self, axis: Axis) -> tuple[float, ...]:
+        """Return the fringe counts along `axis`, in order of projection; whole ones are ints."""
+        counts = (placed.code.fringe_count(self.panel) for placed in self.fringe_sets(axis))
         return tuple(count for count in counts if count is not None)
 
     def finest(self, axis: Axis | None = None) -> Placed | None:
         """Return the set of most fringes, the last of equals; None if there are no fringes."""
         sets = self.fringe_sets(axis)
-        return max(sets, key=lambda p: (p.code.fringe_count or 0, p.index)) if sets else None
+        if not sets:
+            return None
+        return max(sets, key=lambda p: (p.code.fringe_count(self.panel) or 0, p.index))
 
     @property
     def lit_frame(self) -> int | None:
@@ -270,7 +291,10 @@ class PatternSequence(Value):
     def to_dict(self, folder: Path | None = None) -> dict[str, Any]:
         """Return the sequence as plain values for a TOML or JSON file in `folder`."""
         parts = [{"kind": part.kind} | part.to_table(folder) for part in self.parts]
-        return {"panel": list(self.panel), "parts": parts}
+        usual = {f.name: f.default for f in fields(self)}
+        beside = {key: getattr(self, key) for key in ("unwrap", "max_order_residual")}
+        kept = {key: value for key, value in beside.items() if value != usual[key]}
+        return {"panel": list(self.panel), "parts": parts} | kept
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], folder: Path | None = None) -> PatternSequence:
@@ -292,7 +316,7 @@ class PatternSequence(Value):
             _part_from_dict(f"patterns: parts[{i}]", table, folder)
             for i, table in enumerate(given.parts)
         ]
-        return cls(given.panel, tuple(parts))
+        return cls(given.panel, tuple(parts), given.unwrap, given.max_order_residual)
 
     @classmethod
     def parse(
@@ -306,7 +330,8 @@ class PatternSequence(Value):
             Words joined by ``+``: ``white``, ``black``, ``gray``, fringe counts joined by
             commas, or those of installed codes.  ``@N`` after a count sets N shifts for it and
             for the counts before it that have none: ``"1,10,50"``, ``"1,10,50@4"``,
-            ``"gray+16@8"``.
+            ``"gray+16@8"``.  A count is any real number (``28.8@4``), or a period (``22.5px``);
+            ``@0/90/180`` is a list of shifts in degrees.
         panel : (int, int)
             Panel width and height in pixels.
         shifts : int
@@ -343,6 +368,8 @@ class SequenceTable(Value):
 
     panel: tuple[Pixels, Pixels]
     parts: Annotated[tuple[Mapping[str, Any], ...], MinLen(1)]
+    unwrap: Unwrap = "auto"
+    max_order_residual: OrderResidual = MAX_ORDER_RESIDUAL
 
 
 @contextmanager

@@ -47,7 +47,7 @@ class FusionScore:
     pixels.  ``finest`` is the number of fringes whose phase is compared.
     """
 
-    finest: int
+    finest: float
     fused_inside: Sharpness
     fused_outside: Sharpness
     middle_inside: Sharpness
@@ -92,7 +92,7 @@ def score_fusion(
     finest = sequence.finest()
     if finest is None:
         raise InputError("fusion score", "fringes among the patterns", sequence.name)
-    fringes, (axis,) = finest.code.fringe_count, finest.code.axes
+    fringes, (axis,) = finest.code.fringe_count(sequence.panel), finest.code.axes
     assert fringes is not None  # by finest
     smooth = truth.smooth()
     blur = _blur(truth, axis, fringes, sequence.size(axis))
@@ -113,10 +113,10 @@ def score_fusion(
         if k in finest.frames:
             for name, frame in (shown | {"true": true}).items():
                 phases[name].append(frame)
-    exact = finest.code.relative_phase(np.stack(phases["true"]))[0]
+    exact = finest.code.relative_phase(np.stack(phases["true"]), sequence.panel)[0]
     results = {}
     for name, square in squares.items():
-        off = finest.code.relative_phase(np.stack(phases[name]))[0] - exact
+        off = finest.code.relative_phase(np.stack(phases[name]), sequence.panel)[0] - exact
         off = np.mod(off + np.pi, 2.0 * np.pi) - np.pi
         for place, mask in places.items():
             results[f"{name}_{place}"] = _sharpness(square[mask], off[mask])
@@ -131,7 +131,7 @@ def _sharpness(square: Array, off: Array) -> Sharpness:
     )
 
 
-def _blur(truth: GroundTruth, axis: Axis, fringes: int, size: int) -> Array:
+def _blur(truth: GroundTruth, axis: Axis, fringes: float, size: int) -> Array:
     """Circles of confusion of both devices together, in periods of the fringes, (V, U)."""
     coordinate = truth.panel[..., "uv".index(axis)]
     with np.errstate(invalid="ignore"):

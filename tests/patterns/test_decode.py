@@ -164,7 +164,7 @@ def test_fringe_order_errors_come_at_the_predicted_rate(fringes, sigma_dn):
     clean = photograph(sequence, {"u": np.full((500, 500), 201.7)})
     rng = np.random.default_rng(fringes)
     frames = clean + rng.normal(0, sigma_dn, clean.shape)
-    result = decode(frames, sequence, noise=noise)
+    result = decode(frames, sequence, noise=noise, max_order_residual=0.5)
     assert result.mask.all()
     period = width / fringes
     wrong = int(np.sum(np.abs(result.coordinate["u"] - 201.7) > period / 2))
@@ -370,7 +370,6 @@ def test_frames_that_do_not_fit(frames):
     ("parts", "message"),
     [
         ((Fringes(10),), "one fringe or a Gray code first"),
-        ((Fringes(1), GrayCode()), "before the fringes"),
         ((Flat(1.0),), "fringes or a Gray code"),
         ((Flat(1.0), GrayCode(inverse=False)), "white and a black"),
     ],

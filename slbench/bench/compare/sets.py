@@ -70,11 +70,11 @@ class PatternSet:
     def tolerance_px(self, axis: Axis) -> float:
         """Return how far off a coordinate is when its order is wrong, px.
 
-        Half a period of the last fringe set, or, where a Gray code stands alone, half its
+        Half a period of the finest fringe set, or, where a Gray code stands alone, half its
         finest stripe: one column.
         """
         counts = self.sequence.fringe_counts(axis)
-        return 0.5 * self.sequence.size(axis) / counts[-1] if counts else 1.0
+        return 0.5 * self.sequence.size(axis) / max(counts) if counts else 1.0
 
 
 @checked
@@ -130,15 +130,15 @@ def pattern_sets(
 
 
 def with_frames(given: PatternSet, frames: int) -> PatternSet:
-    """Return a set with further shifts of its last fringe set, `frames` in all.
+    """Return a set with further shifts of its finest fringe set, `frames` in all.
 
-    With two coded axes the further shifts are shared between their last sets, the first axis
+    With two coded axes the further shifts are shared between their finest sets, the first axis
     taking the odd one.  A set without fringes keeps its frames, and its note says so.
     """
     sequence, missing = given.sequence, frames - given.frames
     if missing <= 0:
         return given
-    last = {axis: sets[-1] for axis in sequence.axes if (sets := sequence.fringe_sets(axis))}
+    last = {axis: placed for axis in sequence.axes if (placed := sequence.finest(axis))}
     if not last:
         return replace(given, note=f"keeps its {given.frames} frames: no fringes to shift further")
     parts, added = list(sequence.parts), []
@@ -148,7 +148,7 @@ def with_frames(given: PatternSet, frames: int) -> PatternSet:
         if extra and longer is not None:
             parts[placed.index] = longer
             along = f" along {axis}" if len(last) > 1 else ""
-            count, shifts = longer.fringe_count, longer.n_frames(sequence.panel)
-            added.append(f"{count} fringes{along} with {shifts} shifts")
-    grown = PatternSequence(sequence.panel, tuple(parts))
+            count, shifts = longer.fringe_count(sequence.panel), longer.n_frames(sequence.panel)
+            added.append(f"{count:g} fringes{along} with {shifts} shifts")
+    grown = replace(sequence, parts=tuple(parts))
     return replace(given, sequence=grown, note=", ".join(added))

@@ -35,6 +35,8 @@ __all__ = [
     "Fraction",
     "Frames",
     "FringeCount",
+    "FringeNumber",
+    "FringePeriod",
     "FringeWidth",
     "Gain",
     "Ge",
@@ -51,10 +53,12 @@ __all__ = [
     "MinLen",
     "NotNegative",
     "Offset",
+    "OrderResidual",
     "Pair",
     "PanelBits",
     "PanelWidth",
     "Percentile",
+    "PhaseDegrees",
     "PhaseDeviation",
     "Pixels",
     "Positive",
@@ -153,6 +157,14 @@ PanelWidth = Annotated[int, Interval(ge=3, le=65536)]
 MAX_PIXELS = 2**28
 #: Fringes of a pattern, of which a panel's column is a part.
 FringeCount = Annotated[int, Interval(ge=1, le=65536)]
+#: The same where it need not be whole: 28.8.
+FringeNumber = Annotated[float, FINITE, Interval(ge=1e-3, le=65536.0)]
+#: Panel pixels of a fringe.
+FringePeriod = Annotated[float, FINITE, Interval(ge=1e-3, le=1e8)]
+#: A phase, degrees: a turn too many or a few are no slip.
+PhaseDegrees = Annotated[float, FINITE, Interval(ge=-1e5, le=1e5)]
+#: Largest residual of a fringe order, turns; a half masks nothing.
+OrderResidual = Annotated[float, FINITE, Interval(gt=0.0, le=0.5)]
 #: A digital number.
 GreyLevel = Annotated[int, Interval(ge=1, le=65535)]
 #: Monte Carlo samples a pixel.

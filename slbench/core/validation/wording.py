@@ -83,7 +83,7 @@ def first_error(error: ValidationError, hint: Any, values: Any, where: str, sep:
     cause = first.get("ctx", {}).get("error")
     if isinstance(cause, InputError):
         key = cause.where.rpartition(": ")[2]
-        return InputError(f"{at}.{key}" if at else key, cause.expected, cause.got)
+        return InputError(_written(where, [*place, key], sep), cause.expected, cause.got)
     if cause is not None:
         return InputError(at or where, str(cause), _keys(got))
     if first["type"] == "missing":

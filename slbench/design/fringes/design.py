@@ -347,7 +347,11 @@ def predict_text(
     shifts = [len(placed.frames) for placed in sequence.fringe_sets("u")]
     if len(shifts) < len(sequence.parts):
         raise InputError(where, "fringe sets alone", text)
-    return predict(width_px, noise, sequence.fringe_counts("u"), shifts)
+    counts = sequence.fringe_counts("u")
+    whole = [int(count) for count in counts]
+    if whole != list(counts):
+        raise InputError(where, "whole numbers of fringes, whose noise is known", text)
+    return predict(width_px, noise, whole, shifts)
 
 
 def sequence_table(designs: Mapping[str, SequenceDesign]) -> Table:

@@ -259,7 +259,10 @@ def noise_of_captures(
     if len(shifts) > 1:
         raise InputError("captures", "one number of shifts for all fringes", sorted(shifts))
     _check_repeats(captures, known, sorted(k for own in sets for k in own.frames))
-    counts = [own.code.fringe_count for own in sets]
+    panel = captures[0].sequence.panel
+    counts = [own.code.fringe_count(panel) or 0 for own in sets]
+    if any(count != int(count) for count in counts):
+        raise InputError("captures", "whole numbers of fringes", counts)
     usable = []
     for own in sets:
         shape = captures[0].frames.shape[1:]
@@ -268,7 +271,7 @@ def noise_of_captures(
             top = shot.saturation_dn or 2**shot.bit_depth - 1
             frames = shot.frames[own.frames]
             valid &= (frames < top).all(axis=0)
-            phase, modulation, _ = own.code.relative_phase(frames)
+            phase, modulation, _ = own.code.relative_phase(frames, panel)
             wave += modulation * np.exp(1j * phase)
             power += modulation**2
         square = (np.abs(wave) ** 2 - power) / (len(captures) * (len(captures) - 1))
@@ -287,7 +290,7 @@ def noise_of_captures(
     for row, own, good in zip(sigma, sets, measured, strict=True):
         if good:
             stacks = (shot.frames[own.frames] for shot in captures)
-            phases = [own.code.relative_phase(stack)[0][common] for stack in stacks]
+            phases = [own.code.relative_phase(stack, panel)[0][common] for stack in stacks]
             row[0] = estimate_noise(phases, estimator).sigma_rad
     return PhaseNoise(np.array(counts, np.int64), sigma, np.zeros(1), shifts.pop())
 
@@ -297,7 +300,7 @@ def _fringe_sets(shot: Capture, axis: Axis) -> list[Placed]:
     sets = shot.sequence.fringe_sets(axis)
     if not sets:
         raise InputError("captures", f"fringes along {axis}", shot.sequence.name)
-    return sorted(sets, key=lambda own: own.code.fringe_count or 0)
+    return sorted(sets, key=lambda own: own.code.fringe_count(shot.sequence.panel) or 0)
 
 
 def _check_repeats(

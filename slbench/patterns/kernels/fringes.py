@@ -16,6 +16,9 @@ from slbench.patterns.kernels.blocks import BLOCK, FAST, FRAMES, PAD
 END_SIGMAS = 3.0
 
 TWO_PI = 2.0 * math.pi
+ROOT_3 = math.sqrt(3.0)
+# Noise puts a pixel beyond the end of the panel by no more than this, finest fringes.
+_BEYOND = 0.25
 
 # atan(t)/t as a polynomial in t^2 on [0, 1]: Chebyshev interpolation of degree 17, computed
 # in extended precision.  Its error is below 1e-15.
@@ -120,6 +123,63 @@ def _read(
             sine[i] = (sine[i] + (s0 * value0 + s1 * value1)) + (s2 * value2 + s3 * value3)
 
 
+@njit(fastmath=FAST, error_model="numpy", no_cpython_wrapper=True)
+def _unwrap(
+    link: Any, ratio: float, limit: float, slack: Any, absolute: Any, faults: Any, off: Any, n: int
+) -> None:
+    """Unwrap a phase from the absolute one before it, which it replaces.
+
+    A pixel is at fault whose order is off a whole number by more than `limit` and `slack`.
+    """
+    for i in range(n):
+        exact = (ratio * absolute[i] - link[i]) / TWO_PI
+        order = np.floor(exact + 0.5)
+        off[i] = exact - order
+        absolute[i] = TWO_PI * order + link[i]
+    for i in range(n):
+        faults[i] += 0.0 if abs(off[i]) <= limit + slack[i] else 1.0
+
+
+@njit(fastmath=FAST, error_model="numpy", no_cpython_wrapper=True)
+def _search(
+    phases: Any, counts: Any, closed: bool, limit: float, absolute: Any, faults: Any, n: int
+) -> None:
+    """Take the combination of orders whose phases agree best (number-theoretic)."""
+    last = counts.shape[0] - 1
+    finest = counts[last]
+    squares = 0.0
+    for s in range(last + 1):
+        squares += counts[s] * counts[s]
+    rows = np.empty((4, BLOCK + PAD))
+    total, along, best, order = rows[0], rows[1], rows[2], rows[3]
+    for i in range(n):
+        best[i] = np.inf
+        order[i] = 0.0
+    top = int(np.ceil(finest - 1e-9))
+    for k in range(0 if closed else -1, top if closed else top + 1):
+        for i in range(n):
+            total[i] = 0.0
+            along[i] = 0.0
+        for s in range(last):
+            ratio = counts[s] / finest
+            link = phases[s]
+            for i in range(n):
+                exact = ratio * (phases[last, i] / TWO_PI + k) - link[i] / TWO_PI
+                off = exact - np.floor(exact + 0.5)
+                total[i] += off * off
+                along[i] += counts[s] * off
+        for i in range(n):
+            place = phases[last, i] / TWO_PI + k
+            apart = total[i] - along[i] * along[i] / squares
+            inside = closed | ((place >= -_BEYOND) & (place <= finest + _BEYOND))
+            better = (apart < best[i]) & inside
+            best[i] = apart if better else best[i]
+            order[i] = k if better else order[i]
+    for i in range(n):
+        absolute[i] = phases[last, i] + TWO_PI * order[i]
+        faults[i] += 0.0 if (best[i] <= limit * limit) & (best[i] < np.inf) else 1.0
+
+
 @njit(
     void(
         FRAMES,
@@ -127,7 +187,15 @@ def _read(
         int64[::1],
         int64[:, ::1],
         float64[:, :, ::1],
+        float64[:, ::1],
+        float64[::1],
+        int64,
+        float64[::1],
+        float64[:, ::1],
+        float64[::1],
+        boolean[::1],
         float64,
+        float64[::1],
         float64[::1],
         float64[::1],
         float64[::1],
@@ -153,9 +221,17 @@ def decode_fringes(
     checked: Any,
     sets: Any,
     weights: Any,
+    tilts: Any,
+    harmonics: Any,
+    way: int,
+    counts: Any,
+    factors: Any,
+    links: Any,
+    compares: Any,
     size: float,
     scale: Any,
     reference: Any,
+    reference_sigma: Any,
     noise: Any,
     limits: Any,
     coordinate: Any,
@@ -176,23 +252,41 @@ def decode_fringes(
         Frames, one row each (:func:`slbench.patterns.kernels.blocks.by_type`).
     checked : (C,) int64
         Indices of the frames that are searched for saturated and non-finite pixels.
-    sets : (S, 3) int64
-        First frame, shifts N and fringe count n of each set, in order of unwrapping.
+    sets : (S, 2) int64
+        First frame and number of frames N of each set, by rising fringe count.
     weights : (S, K, 2) float64
-        cos and sin of 2 pi k / N of each set for k < N; zero from there to K, the largest N
-        rounded up to a multiple of four.
+        Weights of the frames of each set, scaled as cos and sin for k < N; zero from there to K,
+        the largest N rounded up to a multiple of four.
+    tilts : (S, 2) float64
+        What of both components is in the sum of each set's frames, beside N times their mean.
+    harmonics : (0,), (1,) or (7,) float64
+        How the noise of the last set varies with its phase: not at all, as that of three equal
+        steps, or by these forms (:func:`slbench.patterns.fringes.weights.noise_forms`).
+    way : int
+        0: unwrapped along a chain; 1: by the best combination of orders; 2: not unwrapped.
+    counts : (S,) float64
+        Fringes across the panel.
+    factors : (T, S) float64
+        Of each link of the chain: multiples of the sets' phases that are summed.
+    links : (T,) float64
+        Fringes of each link.
+    compares : (T,) bool
+        Links that are only compared with the last absolute phase.
     size : float
         Panel pixels along the axis.
     scale : (3,) float64
         Of the last set: pixels per radian, radians of the whole panel, whole panels per radian
-        (zero where the panel is not closed: after a coarser code).
+        (zero where the panel is not closed).
     reference : (P,) float64
-        One-fringe phase from a coarser code, or shape (0,) when the first set has one fringe.
+        One-fringe phase from a coarser code that the first link is unwrapped from, or shape (0,)
+        where it is absolute itself.
+    reference_sigma : (P,) or (1,) float64
+        Deviation of the coarser code's coordinate, px, as that of a uniform error; or shape (0,).
     noise : (3,) float64
         Noise variance at the offset, variance per DN above it, offset.
-    limits : (3,) float64
+    limits : (4,) float64
         Largest value that is not saturated, least squared modulation, least squared ratio of
-        modulation to noise.
+        modulation to noise, largest residual of an order.
     coordinate, sigma : (P,) float64
         Panel coordinate and its standard deviation in pixels, NaN where masked out; written, as
         are those that follow.
@@ -203,20 +297,33 @@ def decode_fringes(
         Relative phase of every set, or shape (S, 0) when it is not wanted.
     residual : (S, P) float32
         Fringe order of every set less the whole number it is rounded to, turns, or shape (S, 0);
-        not written for a first set that is its own reference.
+        not written for a set whose order is not found.
     begin, end : int
     """
     frames8, frames16, frames32, frames64 = frames
-    n_sets = sets.shape[0]
-    closed = reference.shape[0] == 0  # the fringes alone: the panel's two ends coincide
+    n_sets, n_links = sets.shape[0], links.shape[0]
+    alone = reference.shape[0] == 0  # no coarser code
+    closed = scale[2] > 0.0  # the panel's two ends coincide
+    unsure = alone & (not closed) & (way == 0)  # a base phase may slip past an end
     keep = relative.shape[1] > 0
     keep_residual = residual.shape[1] > 0
     alpha, beta, offset = noise[0], noise[1], noise[2]
-    most, least_square, least_ratio = limits[0], limits[1], limits[2]
+    most, least_square, least_ratio, limit = limits[0], limits[1], limits[2], limits[3]
     # Rows of one array: the compiler knows that they do not overlap.
-    scratch = np.empty((6, BLOCK + PAD))
+    scratch = np.empty((9, BLOCK + PAD))
     total, cosine, sine = scratch[0], scratch[1], scratch[2]
     phase, absolute, faults = scratch[3], scratch[4], scratch[5]
+    off, slack, spread = scratch[6], scratch[7], scratch[8]
+    phases = np.empty((n_sets + 1, BLOCK + PAD))  # the last row is a beat's
+    singles = np.full(n_links, -1)  # the set of a link that is no beat
+    for t in range(n_links):
+        used = 0.0
+        for s in range(n_sets):
+            used += abs(factors[t, s])
+            if factors[t, s] == 1.0:
+                singles[t] = s
+        if used != 1.0:
+            singles[t] = -1
     flags = np.empty(BLOCK, np.uint8)
     flagged = np.uint8(1) if kind < 2 and most < 0.0 else np.uint8(0)  # no integer is below zero
 
@@ -224,8 +331,9 @@ def decode_fringes(
         n = min(BLOCK, end - start)
         for i in range(n):
             flags[i] = flagged
+            spread[i] = 0.0
         for s in range(n_sets):
-            first, shifts, fringes = sets[s, 0], sets[s, 1], sets[s, 2]
+            first, shifts = sets[s, 0], sets[s, 1]
             looked = checked if s == 0 else checked[:0]
             row = weights[s]
             if kind == 0:
@@ -244,6 +352,9 @@ def decode_fringes(
                     faults[i] = np.float64(flags[i])
             to_square = 4.0 / (shifts * shifts)
             per_shift = 1.0 / shifts
+            if tilts[s, 0] != 0.0 or tilts[s, 1] != 0.0:  # shifts that do not fill a turn
+                for i in range(n):
+                    total[i] -= tilts[s, 0] * cosine[i] + tilts[s, 1] * sine[i]
             for i in range(n):
                 phase[i] = angle(sine[i], cosine[i])
             for i in range(n):
@@ -251,26 +362,79 @@ def decode_fringes(
                 variance = alpha + beta * max(per_shift * total[i] - offset, 0.0)
                 good = (square >= least_square) & (square >= least_ratio * variance)
                 faults[i] += 0.0 if good else 1.0
+            if unsure and factors[0, s] != 0.0:
+                weight = factors[0, s] * factors[0, s] * 2.0 / shifts
+                for i in range(n):
+                    square = to_square * (cosine[i] * cosine[i] + sine[i] * sine[i])
+                    variance = alpha + beta * max(per_shift * total[i] - offset, 0.0)
+                    spread[i] += weight * variance / square
+            for i in range(n):
+                phases[s, i] = phase[i]
             if keep:
                 for i in range(n):
                     relative[s, start + i] = phase[i]
-            if s == 0 and closed:
+
+        for i in range(n):
+            absolute[i] = phase[i]
+        if way == 1:
+            _search(phases, counts, closed, limit, absolute, faults, n)
+        for t in range(n_links):
+            link = phases[n_sets]
+            if singles[t] >= 0:
+                link = phases[singles[t]]
+            else:
                 for i in range(n):
-                    absolute[i] = phase[i]
+                    link[i] = 0.0
+                for s in range(n_sets):
+                    for i in range(n):
+                        link[i] += factors[t, s] * phases[s, i]
+                for i in range(n):
+                    link[i] -= TWO_PI * np.floor(link[i] / TWO_PI)
+            if t == 0 and alone:
+                # Less than one fringe leaves a gap, in whose middle noise on either side is parted.
+                gap = 1.0 - links[0]
+                for i in range(n):
+                    absolute[i] = link[i]
+                if gap > 0.0:
+                    for i in range(n):
+                        beyond = link[i] > TWO_PI - gap * math.pi
+                        absolute[i] = link[i] - TWO_PI if beyond else link[i]
+                if unsure:
+                    for i in range(n):
+                        end_distance = min(absolute[i], TWO_PI * links[0] - absolute[i])
+                        margin = END_SIGMAS * math.sqrt(spread[i]) - gap * math.pi
+                        faults[i] += 0.0 if end_distance >= margin else 1.0
                 continue
-            ratio = float(fringes)
-            if s > 0:
-                ratio /= sets[s - 1, 2]
+            ratio = links[t]
+            for i in range(n):
+                slack[i] = 0.0
+            if t > 0:
+                ratio /= links[t - 1] if not compares[t] else counts[n_sets - 1]
             else:
                 for i in range(n):
                     absolute[i] = reference[start + i]
-            if keep_residual:
+                one_for_all = reference_sigma.shape[0] == 1
                 for i in range(n):
-                    exact = (ratio * absolute[i] - phase[i]) / TWO_PI
+                    # The coarse place is anywhere within its own cell, which tells fringes apart
+                    # where it is no wider than one.
+                    known = reference_sigma[0 if one_for_all else start + i]
+                    slack[i] = ROOT_3 * known * ratio / size
+                    faults[i] += 0.0 if slack[i] <= 0.5 + 1e-9 else 1.0
+            if compares[t]:
+                for i in range(n):
+                    phase[i] = absolute[i]
+                _unwrap(link, ratio, limit, slack, phase, faults, off, n)
+            else:
+                _unwrap(link, ratio, limit, slack, absolute, faults, off, n)
+            if keep_residual and singles[t] >= 0:
+                for i in range(n):
+                    residual[singles[t], start + i] = off[i]
+        if way == 1 and keep_residual:
+            for s in range(n_sets - 1):
+                ratio = counts[s] / counts[n_sets - 1]
+                for i in range(n):
+                    exact = (ratio * absolute[i] - phases[s, i]) / TWO_PI
                     residual[s, start + i] = exact - np.floor(exact + 0.5)
-            for i in range(n):
-                order = np.floor((ratio * absolute[i] - phase[i]) / TWO_PI + 0.5)
-                absolute[i] = TWO_PI * order + phase[i]
 
         shifts = sets[n_sets - 1, 1]
         to_pixels, whole, turns_per_radian = scale[0], scale[1], scale[2]
@@ -283,10 +447,17 @@ def decode_fringes(
             phase[i] = alpha + beta * max(a - offset, 0.0)  # the noise's variance
             sine[i] = 2.0 / shifts * radius
             total[i] = a
-        if shifts == 3:  # the only number of shifts whose noise varies with the phase
+        if harmonics.shape[0] == 1:  # three equal steps
             for i in range(n):
                 cos_phi = cosine[i] / (1.5 * sine[i])
                 phase[i] -= 0.5 * beta * sine[i] * (cos_phi * (4.0 * cos_phi * cos_phi - 3.0))
+        elif harmonics.shape[0] > 1:
+            h = harmonics
+            for i in range(n):
+                c, s_ = math.cos(phases[n_sets - 1, i]), math.sin(phases[n_sets - 1, i])
+                quadratic = h[0] * c * c + h[1] * c * s_ + h[2] * s_ * s_
+                cubic = c * c * (h[3] * c + h[4] * s_) + s_ * s_ * (h[5] * c + h[6] * s_)
+                phase[i] = quadratic * phase[i] + cubic * beta * sine[i]
         for i in range(n):
             phase[i] = math.sqrt(2.0 / shifts * max(phase[i], 0.0)) / sine[i] * to_pixels
         if closed:
@@ -295,8 +466,11 @@ def decode_fringes(
                 within = (absolute[i] >= margin) & (size - absolute[i] >= margin)
                 faults[i] += 0.0 if within & (sine[i] < np.inf) else 1.0
         else:
+            # A place beyond the panel is a wrong order, but a coarser code's own affair.
+            beyond = TWO_PI * _BEYOND * to_pixels if alone else np.inf
             for i in range(n):
-                faults[i] += 0.0 if (absolute[i] == absolute[i]) & (sine[i] < np.inf) else 1.0
+                within = (absolute[i] >= -beyond) & (absolute[i] <= size + beyond)
+                faults[i] += 0.0 if within & (sine[i] < np.inf) else 1.0
         # An output a loop: more of them, and the compiler would give up telling them apart.
         for i in range(n):
             coordinate[start + i] = absolute[i] - 0.5 if faults[i] == 0.0 else np.nan

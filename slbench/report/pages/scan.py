@@ -186,7 +186,7 @@ def _fusion_table(fusion: FusionScore) -> Table:
             )
         )
     columns = ("frames", "pixels", "intensity RMS / % of full scale", "phase RMS / rad")
-    note = f"Against the scene through pinholes; phase of the {fusion.finest} fringes."
+    note = f"Against the scene through pinholes; phase of the {fusion.finest:g} fringes."
     return Table("Focus fusion", columns, tuple(rows), note)
 
 

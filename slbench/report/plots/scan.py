@@ -192,10 +192,11 @@ def _frame_and_phase(scan: Scan, axis: Axis) -> tuple[tuple[int, NDArray | None]
         last = scan.scene.sequence.n_frames - 1
         return (last, None), f"Frame {last}"
     own = finest.frames
-    start, shifts, count = own.start, len(own), finest.code.fringe_count
-    phase = finest.code.relative_phase(scan.capture.frames[own])[0]
+    panel = scan.scene.sequence.panel
+    start, shifts, count = own.start, len(own), finest.code.fringe_count(panel)
+    phase = finest.code.relative_phase(scan.capture.frames[own], panel)[0]
     phase[~scan.phase.mask] = np.nan
-    title = f"Frame {start}: {count} fringes, first of {shifts} shifts"
+    title = f"Frame {start}: {count:g} fringes, first of {shifts} shifts"
     return (start, phase), title
 
 

@@ -160,7 +160,7 @@ def plane_sweep(
     heights = np.linspace(-3.0, 3.0, positions)
     result = np.empty((2, len(rigs), positions))
     noise_rad = np.empty((len(rigs), positions))
-    finest = scene.sequence.fringe_counts("u")[-1]
+    finest = max(scene.sequence.fringe_counts("u"))
     for i, rig in enumerate(rigs):
         for k, height in enumerate(heights):
             plate = plate_scene(replace(scene, rig=rig), float(height))

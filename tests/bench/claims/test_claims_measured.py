@@ -44,7 +44,7 @@ from slbench.bench.compare.compare import compare
 from slbench.bench.compare.comparison import Step
 from slbench.bench.compare.tiles import holm
 from slbench.core.errors import InputError
-from slbench.patterns import fringes
+from slbench.patterns.fringes import decode as decoding
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene
 from slbench.score.points import Score
@@ -72,15 +72,15 @@ def check(folder, *tables, seed=0, pools=None):
 
 def planted(monkeypatch, change):
     """Change the cosines and sines, (N, 2), that the decoder takes the phase of a set with."""
-    right = fringes.shift_weights
+    right = decoding.set_weights
 
-    def wrong(shifts):
-        weights = right(shifts)
-        for own, count in zip(weights, shifts, strict=True):
-            own[:count] = change(own[:count])
+    def wrong(steps):
+        weights = right(steps)
+        for own, one in zip(weights, steps, strict=True):
+            own[: len(one)] = change(own[: len(one)])
         return weights
 
-    monkeypatch.setattr(fringes, "shift_weights", wrong)
+    monkeypatch.setattr(decoding, "set_weights", wrong)
 
 
 def turned(turns):
