@@ -167,7 +167,7 @@ def test_what_cannot_be_resolved_is_refused_before_anything_is_shown(parts, way,
 
 def test_a_way_that_does_not_exist():
     table = {"panel": [96, 8], "parts": [{"kind": "fringes", "count": 1}], "unwrap": "heterodine"}
-    with pytest.raises(InputError, match="did you mean .heterodyne"):
+    with pytest.raises(InputError, match="did you mean 'heterodyne'"):
         PatternSequence.from_dict(table)
 
 
