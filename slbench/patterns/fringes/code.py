@@ -20,7 +20,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from math import pi, radians
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -250,7 +250,10 @@ class Fringes(Code):
         """Decode the fringe sets of one axis (:mod:`slbench.patterns.fringes.decode`)."""
         from slbench.patterns.fringes.decode import decode_sets
 
-        return {run.axes[0]: decode_sets(run, observed, found.get(run.axes[0]))}
+        (axis,) = run.axes
+        size = extent(observed.panel, axis)
+        shifts = [cast(Self, placed.code).steps(size) for placed in run.parts]
+        return {axis: decode_sets(run, shifts, observed, found.get(axis))}
 
 
 def _shown(number: float) -> str:

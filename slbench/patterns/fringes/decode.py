@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import inf, pi, sqrt
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.threads import in_bands
 from slbench.patterns.base import AnyFloatArray, FloatArray, Found, Observed, Run, extent
-from slbench.patterns.fringes.code import Fringes
 from slbench.patterns.fringes.ways import Way, chosen_way
 from slbench.patterns.fringes.weights import noise_forms, set_weights, tilts
 from slbench.patterns.phase import unwrap_spatially
@@ -21,12 +20,16 @@ _EVEN = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
 _CHAIN, _SEARCH, _RELATIVE = 0, 1, 2
 
 
-def decode_sets(run: Run, observed: Observed, coarser: Found | None) -> Found:
+def decode_sets(
+    run: Run, shifts: Sequence[FloatArray], observed: Observed, coarser: Found | None
+) -> Found:
     """Decode the fringe sets of one axis in one pass over their frames.
 
     Parameters
     ----------
     run : Run
+    shifts : sequence of (N,) float64
+        Shifts e_k of the frames of every set, rad.
     observed : Observed
     coarser : Found or None
         What another code has found along the axis.
@@ -46,10 +49,9 @@ def decode_sets(run: Run, observed: Observed, coarser: Found | None) -> Found:
     size = extent(observed.panel, axis)
     way = chosen_way(run, coarser is not None)
     placed = [run.parts[k] for k in way.order]
-    codes = cast(list[Fringes], [one.code for one in placed])
-    steps = [code.steps(size) for code in codes]
+    steps = [shifts[k] for k in way.order]
     pixels, noise = observed.pixels, observed.noise
-    n_pixels, n_sets = pixels.shape[1], len(codes)
+    n_pixels, n_sets = pixels.shape[1], len(placed)
     reference = reference_sigma = np.empty(0)
     if way.name == "gray" and coarser is not None:
         reference = coarser.coordinate + 0.5
