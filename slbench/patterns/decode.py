@@ -51,7 +51,9 @@ class PhaseMap:
     evidence : dict of part index to dict of name to (..., V, U) float32 or float64
         By what the coordinate may be judged, unmasked; empty unless asked for.  Fringe sets
         that are unwrapped have ``order_residual``: the fringe order less the whole number it is
-        rounded to, in turns, float32.  Gray codes have ``bit_contrast`` (bits, V, U): half the
+        rounded to, in turns, float32.  Sets of four frames or more have ``fit_residual_dn``: the
+        root mean square of what a sinusoid leaves of them, over N - 3 degrees of freedom, DN,
+        float32; it measures the noise.  Gray codes have ``bit_contrast`` (bits, V, U): half the
         difference between lit and unlit of every bit, in DN, float64.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from math import inf, pi, sqrt
 
 import numpy as np
@@ -11,11 +12,13 @@ from numpy.typing import NDArray
 from slbench.core.threads import in_bands
 from slbench.patterns.base import AnyFloatArray, FloatArray, Found, Observed, Run, extent
 from slbench.patterns.fringes.ways import Way, chosen_way
-from slbench.patterns.fringes.weights import noise_forms, set_weights, tilts
+from slbench.patterns.fringes.weights import fit_weights, noise_forms, set_weights, tilts
 from slbench.patterns.phase import unwrap_spatially
 
 #: Equal steps of more than three have no noise that varies with the phase.
 _EVEN = np.array([1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+#: Frames that a sinusoid fits without a rest.
+_EXACT = 3
 #: What the kernel does with the phases, by name.
 _CHAIN, _SEARCH, _RELATIVE = 0, 1, 2
 
@@ -40,10 +43,12 @@ def decode_sets(
         The coordinate is that of the finest set.  Fringes alone that code the panel as a circle
         have its ends told apart as :func:`slbench.patterns.decode` says.  Evidence:
         ``order_residual`` of every set whose order was found, the order before it is rounded less
-        the whole number it is rounded to, in turns.
+        the whole number it is rounded to, in turns; and ``fit_residual_dn`` of every set of four
+        frames or more, the root mean square of what a sinusoid leaves of its frames, over N - 3
+        degrees of freedom, DN: the noise, and whatever else is in the frames.
     """
     from slbench.patterns.kernels.blocks import LEAST, by_type, most_unsaturated
-    from slbench.patterns.kernels.fringes import decode_fringes
+    from slbench.patterns.kernels.fringes import decode_fringes, fit_residual
 
     (axis,) = run.axes
     size = extent(observed.panel, axis)
@@ -106,6 +111,12 @@ def decode_sets(
     if observed.keep_evidence:
         for s in _unwrapped(way):
             evidence[placed[s].index] = {"order_residual": residual[s]}
+        for one, own in zip(placed, steps, strict=True):
+            if len(own) > _EXACT:
+                left = np.empty(n_pixels, np.float32)
+                fit = (*frames, one.frames.start, *fit_weights(own), left)
+                in_bands(partial(fit_residual, *fit), n_pixels, LEAST)
+                evidence.setdefault(one.index, {})["fit_residual_dn"] = left
     if way.name == "spatial":
         _unwrap_spatially(coordinate, mask, observed.shape, size / way.counts[-1], size)
     if way.name == "none":  # where the result would be masked, the relative phases are

@@ -44,6 +44,15 @@ def tilts(steps: Sequence[FloatArray]) -> FloatArray:
     return np.where(np.abs(sums) < 1e-9 * counts, 0.0, 2.0 / counts * sums)
 
 
+def fit_weights(steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the weights of b cos phi, b sin phi and the mean, (N, 3), and what the fit shows.
+
+    The latter, (N, 2), is what frames have of the first two: cos e_k and sin e_k.
+    """
+    design = np.stack([np.cos(steps), np.sin(steps), np.ones(len(steps))], axis=1)
+    return np.ascontiguousarray(np.linalg.pinv(design).T), np.ascontiguousarray(design[:, :2])
+
+
 def noise_forms(steps: FloatArray) -> FloatArray:
     """Return the coefficients of the phase's variance, times N / 2: quadratic, then cubic.
 

@@ -482,3 +482,88 @@ def decode_fringes(
             mean[start + i] = total[i]
         for i in range(n):
             mask[start + i] = faults[i] == 0.0
+
+
+@njit(fastmath=FAST, error_model="numpy", no_cpython_wrapper=True)
+def _fit(
+    frames: Any, first: int, weights: Any, shown: Any, start: int, n: int, sums: Any, out: Any
+) -> None:
+    """Fit a sinusoid to the frames of a set over a block, and return what is left of them."""
+    count = weights.shape[0]
+    mean, cosine, sine, left = sums[0], sums[1], sums[2], sums[3]
+    for i in range(n):
+        mean[i] = 0.0
+        cosine[i] = 0.0
+        sine[i] = 0.0
+        left[i] = 0.0
+    for k in range(count):
+        row = frames[first + k][start : start + n]
+        c, s, w = weights[k, 0], weights[k, 1], weights[k, 2]
+        for i in range(n):
+            value = np.float64(row[i])
+            cosine[i] += c * value
+            sine[i] += s * value
+            mean[i] += w * value
+    for k in range(count):
+        row = frames[first + k][start : start + n]
+        c, s = shown[k, 0], shown[k, 1]
+        for i in range(n):
+            off = np.float64(row[i]) - (mean[i] + c * cosine[i] + s * sine[i])
+            left[i] += off * off
+    for i in range(n):
+        out[start + i] = math.sqrt(left[i] / (count - 3))
+
+
+@njit(
+    void(
+        FRAMES,
+        int64,
+        int64,
+        float64[:, ::1],
+        float64[:, ::1],
+        float32[::1],
+        int64,
+        int64,
+    ),
+    fastmath=FAST,
+    error_model="numpy",
+    nogil=True,
+    cache=True,
+)
+def fit_residual(
+    frames: Any,
+    kind: int,
+    first: int,
+    weights: Any,
+    shown: Any,
+    residual: Any,
+    begin: int,
+    end: int,
+) -> None:
+    """Find the residual of the sinusoidal fit of one fringe set at pixels `begin` to `end`.
+
+    Parameters
+    ----------
+    frames, kind : tuple of (F, P) arrays, int
+    first : int
+        First frame of the set.
+    weights : (N, 3) float64
+        Of b cos phi, b sin phi and the mean; N >= 4.
+    shown : (N, 2) float64
+        cos e_k and sin e_k.
+    residual : (P,) float32
+        Root of the sum of squares over N - 3 degrees of freedom, DN; written.
+    begin, end : int
+    """
+    frames8, frames16, frames32, frames64 = frames
+    sums = np.empty((4, BLOCK + PAD))
+    for start in range(begin, end, BLOCK):
+        n = min(BLOCK, end - start)
+        if kind == 0:
+            _fit(frames8, first, weights, shown, start, n, sums, residual)
+        elif kind == 1:
+            _fit(frames16, first, weights, shown, start, n, sums, residual)
+        elif kind == 2:
+            _fit(frames32, first, weights, shown, start, n, sums, residual)
+        else:
+            _fit(frames64, first, weights, shown, start, n, sums, residual)

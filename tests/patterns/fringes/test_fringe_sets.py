@@ -211,3 +211,48 @@ def test_bad_tables(table, where, expected):
 def test_bad_words(text):
     with pytest.raises(InputError):
         PatternSequence.parse(text, PANEL)
+
+
+# What a sinusoid leaves of the frames.
+
+
+@pytest.mark.parametrize(
+    "code", [Fringes(10, 4), Fringes(10, 9), Fringes(10, shifts_deg=(0, 50, 90, 200, 200, 300))]
+)
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64])
+def test_fit_residual_is_that_of_least_squares(code, dtype):
+    sequence = PatternSequence((400, 300), (Fringes(1), code))
+    rng = np.random.default_rng(8)
+    clean = photograph(sequence, {"u": rng.uniform(20, 380, (30, 41))})
+    frames = np.rint(clean + rng.normal(0, 3, clean.shape)).clip(0, 255).astype(dtype)
+    evidence = decode(frames, sequence, keep_evidence=True).evidence
+    assert "fit_residual_dn" not in evidence.get(0, {})  # three frames are fitted exactly
+    own = frames[3:].reshape(len(frames) - 3, -1).astype(float)
+    steps = code.steps(400)
+    design = np.stack([np.ones(len(steps)), np.cos(steps), np.sin(steps)], axis=1)
+    left = own - design @ np.linalg.lstsq(design, own, rcond=None)[0]
+    exact = np.sqrt((left**2).sum(axis=0) / (len(steps) - 3)).reshape(30, 41)
+    # float32
+    np.testing.assert_allclose(evidence[1]["fit_residual_dn"], exact, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("shifts", [4, 5, 8])
+def test_fit_residual_measures_the_noise(shifts):
+    n, sigma = 40_000, 2.5
+    sequence = PatternSequence((400, 300), (Fringes(1, shifts), Fringes(10, shifts)))
+    clean = photograph(sequence, {"u": np.full((200, 200), 111.3)})
+    frames = clean + np.random.default_rng(9).normal(0, sigma, clean.shape)
+    for evidence in decode(frames, sequence, keep_evidence=True).evidence.values():
+        measured = np.sqrt(np.mean(np.square(evidence["fit_residual_dn"], dtype=float)))
+        # A mean of n squares with N - 3 degrees of freedom each: 5 standard errors of its root.
+        assert measured == pytest.approx(sigma, rel=5 / np.sqrt(2 * n * (shifts - 3)))
+
+
+def test_fit_residual_sees_a_response_that_is_not_linear():
+    sequence = PatternSequence((400, 300), (Fringes(1, 8), Fringes(10, 8)))
+    clean = photograph(sequence, {"u": np.linspace(30, 370, 300)[np.newaxis]})
+    bent = 255 * (clean / 255) ** 2.2
+    evidence = decode(bent, sequence, keep_evidence=True).evidence
+    straight = decode(clean, sequence, keep_evidence=True).evidence
+    assert straight[1]["fit_residual_dn"].max() < 1e-4
+    assert evidence[1]["fit_residual_dn"].min() > 5.0
