@@ -53,6 +53,10 @@ class Flat(Code):
         """Return the level."""
         return self.level
 
+    def may_saturate(self, k: int) -> bool:
+        """Return True: nothing but a threshold is taken from it."""
+        return True
+
     @classmethod
     def read_word(cls, word: str, axis: Axis, shifts: int) -> list[Self] | None:
         """Read ``white`` and ``black``."""

@@ -196,7 +196,10 @@ def _order_errors(
     wrong = np.zeros(len(flat), bool)
     for axis, coordinate in phase.coordinate.items():
         true = truth.panel[..., "uv".index(axis)].ravel()[flat]
-        wrong |= np.abs(coordinate.ravel()[flat] - true) > given.tolerance_px(axis)
+        limit = given.tolerance_px(axis)
+        if not limit:  # half a cell, whose deviation is that of a uniform error, and half a pixel
+            limit = 0.5 + np.sqrt(3.0) * phase.sigma[axis].ravel()[flat]
+        wrong |= np.abs(coordinate.ravel()[flat] - true) > limit
     return int(np.count_nonzero(wrong))
 
 

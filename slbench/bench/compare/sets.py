@@ -70,11 +70,11 @@ class PatternSet:
     def tolerance_px(self, axis: Axis) -> float:
         """Return how far off a coordinate is when its order is wrong, px.
 
-        Half a period of the finest fringe set, or, where a Gray code stands alone, half its
-        finest stripe: one column.
+        Half a period of the finest fringe set; 0 where a Gray code stands alone, which has no
+        order but the cell.
         """
         counts = self.sequence.fringe_counts(axis)
-        return 0.5 * self.sequence.size(axis) / max(counts) if counts else 1.0
+        return 0.5 * self.sequence.size(axis) / max(counts) if counts else 0.0
 
 
 @checked

@@ -26,6 +26,8 @@ __all__ = [
     "BitDepth",
     "Blur",
     "Bounces",
+    "CellOffset",
+    "CellWidth",
     "Coefficient",
     "Confidence",
     "Coordinate",
@@ -40,6 +42,7 @@ __all__ = [
     "FringeWidth",
     "Gain",
     "Ge",
+    "GrayBits",
     "Grey",
     "GreyLevel",
     "Gt",
@@ -165,6 +168,11 @@ FringePeriod = Annotated[float, FINITE, Interval(ge=1e-3, le=1e8)]
 PhaseDegrees = Annotated[float, FINITE, Interval(ge=-1e5, le=1e5)]
 #: Largest residual of a fringe order, turns; a half masks nothing.
 OrderResidual = Annotated[float, FINITE, Interval(gt=0.0, le=0.5)]
+#: Bits of a Gray code: more than a panel has columns for tell nothing apart.
+GrayBits = Annotated[int, Interval(ge=1, le=20)]
+#: Width of a cell of a Gray code, and what of the first one lies before the panel, px.
+CellWidth = Annotated[float, FINITE, Interval(ge=1.0, le=65536.0)]
+CellOffset = Annotated[float, FINITE, Interval(ge=0.0, le=65536.0)]
 #: A digital number.
 GreyLevel = Annotated[int, Interval(ge=1, le=65535)]
 #: Monte Carlo samples a pixel.
