@@ -312,7 +312,8 @@ def test_evidence_is_the_residual_of_every_fringe_order(text):
         assert set(found.evidence) == {0, 1}
     else:
         (fringes, absolute), first = phases[0], 1
-        assert set(found.evidence) == {1, 2}  # the first set is its own reference
+        ordered = {k for k, one in found.evidence.items() if "order_residual" in one}
+        assert ordered == {1, 2}  # the first set is its own reference
     for part, (count, phase) in enumerate(phases[first:], start=1):
         order = (count / fringes * absolute - phase) / (2 * np.pi)
         residual = found.evidence[part]["order_residual"]
