@@ -98,6 +98,9 @@ def check(
         for result in results:
             if result.outcome != "holds":
                 print(f"{result.claim.name}: {result.line()}")
+        floors = (result.floor for result in results if result.floor is not None)
+        for line in dict.fromkeys(floor.text() for floor in floors):
+            print(line)
         if update and not refused:
             print(f"Baseline written to {kept}")
     if refused:

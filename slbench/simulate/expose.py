@@ -17,14 +17,12 @@ from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.random import Word, generator
 from slbench.detector import DetectorModel
-from slbench.patterns import Axis, NoiseModel, PatternSequence, decode, panel_response
+from slbench.patterns import NoiseModel, PatternSequence, panel_response
 from slbench.rig import Camera, Projector, Rig
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Exposure, Scene
 from slbench.simulate.transport import LightTransport
 
-#: Memory for noise-free frames at a time.
-_FLOOR_BYTES = 1 << 27
 #: Exposure time that the dark signal is computed with where the light's power is unknown (a
 #: pinhole camera, automatic exposure).
 NOMINAL_EXPOSURE_S = 0.01
@@ -124,33 +122,6 @@ def radiance_batches(
                 sequence.shown(indices[part], along), projector.bit_depth, projector.gamma
             )
             yield indices[part], transport.relight(panel, along)
-
-
-def noise_free_coordinates(
-    transport: LightTransport, sequence: PatternSequence, projector: Projector
-) -> dict[Axis, NDArray]:
-    """Decode the radiance itself, before the detector: the renderer's own error floor.
-
-    What is left is not noise but geometry and sampling: the projector's square pixels, the
-    pixel's footprint, and the Monte Carlo error of the light transport.
-
-    Returns
-    -------
-    dict of axis to (V, U) float
-        Panel coordinates, NaN where the modulation is below 1/200 of full white.
-    """
-    scale = np.float32(200.0 / max(float(np.percentile(transport.white(), 99.0)), 1e-30))
-    height, width = transport.shape
-    rows = max(1, _FLOOR_BYTES // (4 * width * sequence.n_frames))
-    bands: list[dict[Axis, NDArray]] = []
-    for first in range(0, height, rows):
-        band = transport.band(slice(first, first + rows))
-        stack = np.empty((sequence.n_frames, *band.shape), np.float32)
-        for indices, radiance in radiance_batches(band, sequence, projector):
-            stack[indices] = radiance * scale
-        exact = NoiseModel(step_dn=0.0)
-        bands.append(decode(stack, sequence, noise=exact, min_modulation=1.0).coordinate)
-    return {axis: np.concatenate([band[axis] for band in bands]) for axis in bands[0]}
 
 
 def shutter_for(

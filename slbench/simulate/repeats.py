@@ -21,6 +21,7 @@ from slbench.rig import Pose
 from slbench.scene.materials import PRESETS
 from slbench.scene.model import Scene, SceneObject
 from slbench.simulate.expose import lighting, radiance_batches, shutter_for
+from slbench.simulate.floors import fused_radiance, halves
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
@@ -114,6 +115,50 @@ def repeated_phases(
         if on_progress:
             on_progress((r + 1) / repeats)
     return phases, modulation
+
+
+def noise_free_waves(
+    scene: Scene,
+    transports: Sequence[LightTransport],
+    fringes: Sequence[int],
+    pixels: NDArray[np.intp],
+    *,
+    shifts: int = 3,
+    seed: int = 0,
+    weights: WeightSource = "lit",
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128] | None]:
+    """Return what the fringe sets are before the detector, modulation times exp(i phase).
+
+    Parameters are those of :func:`repeated_phases`; a stack is fused by the weights of one noisy
+    repeat.
+
+    Returns
+    -------
+    all_samples : (k, P) complex
+        Radiance.
+    half : (k, P) complex, or None
+        By one half of the samples (:meth:`LightTransport.half`), with the same weights; None where
+        it was not kept.
+    """
+    panel = (scene.rig.projector.width, scene.rig.projector.height)
+    half = halves(transports)
+    found = np.empty((2, len(fringes), len(pixels)), np.complex128)
+    for k, count in enumerate(fringes):
+        part = Fringes(count, shifts)
+        fused = None
+        if scene.focus is not None:
+            alone = replace(scene, sequence=PatternSequence(panel, (Flat(1.0), part)))
+            fused = capture_stack(alone, transports, seed=seed).weights(weights)
+        for wave, light in zip(found[:, k], (transports, half), strict=True):
+            if light is None:
+                continue
+            frames = np.empty((shifts, 1, len(pixels)))
+            parts = light, PatternSequence(panel, (part,)), scene.rig.projector, fused
+            for indices, radiance in fused_radiance(*parts):
+                frames[indices, 0] = radiance.reshape(len(radiance), -1)[:, pixels]
+            phase, modulation, _ = relative_phase(frames)
+            wave[:] = (modulation * np.exp(1j * phase))[0]
+    return found[0], None if half is None else found[1]
 
 
 def _frames(

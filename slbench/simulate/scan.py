@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture
 from slbench.capture.doubts import exposure_doubt
@@ -25,24 +24,18 @@ from slbench.core.errors import InputError, located, warn_user
 from slbench.core.show.display import block
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
-from slbench.patterns import PatternSequence, PhaseMap
-from slbench.rig import Pair, Projector
+from slbench.patterns import PhaseMap
+from slbench.rig import Pair
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.fusion import FusionScore, score_fusion
 from slbench.score.points import Score
 from slbench.score.points import score as score_points
-from slbench.simulate.expose import noise_free_coordinates
+from slbench.simulate.floors import floors_px, more_samples
 from slbench.simulate.sharp import expected_frames
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
-
-#: Share of the mean square error by sampling that is worth a word: 5 % of the RMS.
-_SEEN = 0.1
-#: Share of the pixels that tell the sampling error: beside an edge, a pixel's lens may see another
-#: surface in one sample of many, and half of the samples in none or two of fewer.
-_ORDINARY = 0.99
 
 #: Called with the name of the stage and its finished fraction.
 Progress = Callable[[str, float], None]
@@ -372,46 +365,11 @@ def score_scan(scan: Scan) -> ScanScores:
 def samples_doubt(scan: Scan) -> str | None:
     """Question a number of samples whose Monte Carlo error is seen in the result."""
     whole = float(np.sqrt(np.mean(np.square(list(scan.score.smooth_rms_px.values())))))
-    sampling = scan.monte_carlo_rms_px
-    if not sampling**2 > _SEEN * whole**2:
+    sampling, samples = scan.monte_carlo_rms_px, scan.transport.samples
+    more = more_samples(samples, whole, sampling)
+    if more is None:
         return None
-    samples = scan.transport.samples
-    # The error falls with the number of samples, at least with its root.
-    more = samples * int(np.ceil(sampling / whole / np.sqrt(_SEEN))) ** 2
     return (
         f"sampling makes {sampling:.3f} of the {whole:.3f} px RMS on smooth surfaces: {more} "
         f"samples a pixel instead of {samples} would change it (--spp, render.samples)"
     )
-
-
-def floors_px(
-    transport: LightTransport, sequence: PatternSequence, projector: Projector, truth: GroundTruth
-) -> tuple[float, float]:
-    """Return the RMS error of noise-free panel coordinates over smooth lit pixels, px.
-
-    Returns
-    -------
-    whole : float
-    sampling : float
-        The Monte Carlo part of it, by what decodes otherwise from half of the samples, for 99 % of
-        the pixels; NaN where the halves were not kept.
-    """
-    smooth = truth.smooth()
-    coordinates = noise_free_coordinates(transport, sequence, projector)
-    errors = [
-        (coordinate - truth.panel[..., "uv".index(axis)])[smooth]
-        for axis, coordinate in coordinates.items()
-    ]
-    half = transport.half()
-    if half is None:
-        return _rms(errors), float("nan")
-    others = noise_free_coordinates(half, sequence, projector)
-    draws = [(others[axis] - coordinates[axis])[smooth] for axis in others]
-    return _rms(errors), _rms(draws, _ORDINARY)
-
-
-def _rms(parts: list[NDArray[np.float64]], share: float = 1.0) -> float:
-    """Return the RMS of what is finite; of a share of it, the smallest."""
-    squares = np.sort(np.concatenate([part[np.isfinite(part)] ** 2 for part in parts]))
-    squares = squares[: round(share * squares.size)]
-    return float(np.sqrt(squares.mean())) if squares.size else float("nan")

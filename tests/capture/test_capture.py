@@ -99,7 +99,7 @@ def test_noise_free_coordinates_are_exact(axes):
 
 def test_noise_free_coordinates_do_not_depend_on_the_bands(monkeypatch):
     whole = noise_free_coordinates(scene(axes="uv"), transport())
-    monkeypatch.setattr("slbench.simulate.expose._FLOOR_BYTES", 5 * 4 * SHAPE[1] * 18)
+    monkeypatch.setattr("slbench.simulate.floors._BAND_BYTES", 5 * 4 * SHAPE[1] * 18)
     banded = noise_free_coordinates(scene(axes="uv"), transport())
     for axis in "uv":
         np.testing.assert_array_equal(whole[axis], banded[axis])

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from slbench.simulate import expose, scan, stack
+from slbench.simulate import expose, floors, stack
 from slbench.simulate.render import groundtruth
 from slbench.simulate.render import trace as tracing
 
@@ -32,12 +32,12 @@ def shutter_for(scene, transport):
 
 def noise_free_coordinates(scene, transport):
     """Decode the radiance of a scene's patterns."""
-    return expose.noise_free_coordinates(transport, scene.sequence, scene.rig.projector)
+    return floors.noise_free_coordinates(transport, scene.sequence, scene.rig.projector)
 
 
 def floor_rms_px(scene, transport, truth):
     """Return the renderer's floor of a scene."""
-    return scan.floors_px(transport, scene.sequence, scene.rig.projector, truth)[0]
+    return floors.floors_px(transport, scene.sequence, scene.rig.projector, truth)[0]
 
 
 def with_lit_frame(scene):

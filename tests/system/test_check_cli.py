@@ -33,6 +33,9 @@ def test_all_hold(folder):
     assert claim["verdict"] == "holds"
     assert claim["interval"][0] < claim["measured"] < claim["interval"][1]
     assert len(claim["values"]) == claim["repeats"] == 3
+    assert 0.0 < claim["floor"]["monte_carlo"] < claim["floor"]["whole"] < claim["measured"]
+    assert claim["floor"]["unit"] == "px"
+    assert claim["floor"]["error"] == pytest.approx(claim["measured"])
     again = run_cli("check", written(folder, TRUE), "--json", "--seed", 0)
     assert json.loads(again.out)["claims"][0]["values"] == claim["values"]
     other = run_cli("check", written(folder, TRUE), "--json", "--seed", 1)
@@ -45,6 +48,9 @@ def test_failing_and_undecided(folder):
     assert outcome.status == 1
     # Names are text, whatever they look like.
     assert "false [red]: fails: smooth_rms_px.u = 0.0" in outcome.out
+    # Two claims on the same scans: one line says what these leave without noise.
+    assert outcome.out.count("small: floor without noise 0.0") == 1
+    assert outcome.out.count(" px by sampling") == 1
     suite = ElementTree.parse(folder / "report.xml").getroot()[0]
     assert suite.attrib["failures"] == "1"
 
@@ -53,6 +59,27 @@ def test_failing_and_undecided(folder):
     assert run_cli("check", written(folder, TRUE, middle)).status == 3
     # A failure outweighs what is open.
     assert run_cli("check", written(folder, middle, FALSE)).status == 1
+
+
+def test_scans_that_more_samples_would_change_are_questioned_once(folder):
+    # Without a detector's noise to speak of, before a camera far out of focus: four samples of its
+    # lens are most of the error, in all three repeats, for two claims and a comparison.
+    detector = {"full_well_e": 1e7, "read_noise_e": 0.0, "bit_depth": 16}
+    camera = {"f_number": 1.4, "focus_distance_mm": 380.0}
+    write_scene(folder, detector=detector, camera=camera, render={"samples": 4})
+    other = TRUE | {"name": "other", "quantity": "completeness", "max": 2.0}
+    sets = {"name": "sets", "quantity": "set[1,10,50].error_median_mm", "max": 5.0, "scans": 2}
+    far = TRUE | {"max": 50.0}
+    outcome = run_cli("check", written(folder, far, other, far | sets), "--json")
+    assert outcome.status == 0
+    lines = outcome.err.splitlines()
+    assert len(lines) == 2, lines
+    assert lines[0].startswith("warning: scene small: sampling makes ")
+    assert lines[1].startswith("warning: scene small, {1,10,50}: sampling makes ")
+    assert all("instead of 4 would change it" in line for line in lines)
+    floors = [claim["floor"] for claim in json.loads(outcome.out)["claims"]]
+    assert floors[0] == floors[1]
+    assert floors[2]["unit"] == "mm"
 
 
 def test_baseline(folder):
@@ -119,7 +146,7 @@ def test_a_claim_without_a_value_is_shown_and_reported_and_not_kept(folder, monk
     assert (outcome.status, json.loads(outcome.out)["status"]) == (2, 2)
 
 
-NAMES = ["smooth_rms_px.u"]
+NAMES = ["smooth_rms_px.u", "floor_rms_px", "monte_carlo_rms_px"]
 
 
 @pytest.mark.parametrize(

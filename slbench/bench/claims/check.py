@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.claims.file import Claim, load_claims
-from slbench.bench.claims.pools import Pools
+from slbench.bench.claims.pools import Floor, Pools
 from slbench.bench.claims.verdicts import MAX_REPEATS, Verdict, judge_each, judge_mean
 from slbench.bench.statistics import Interval
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.show.display import brief
 
 Array = NDArray[np.float64]
@@ -51,6 +51,8 @@ class Result:
         Time of the measurements that no claim before it had made.
     regression : Regression or None
         Where there is a baseline.
+    floor : Floor or None
+        What the claim's scans leave without noise, and which part of it is sampling.
     """
 
     claim: Claim
@@ -59,6 +61,7 @@ class Result:
     bounds: tuple[Array, ...]
     seconds: float
     regression: Regression | None = None
+    floor: Floor | None = None
 
     __repr__ = brief
 
@@ -130,6 +133,7 @@ class Result:
             **self.verdict.to_dict(),
             "values": self.values,
             "regression": None if self.regression is None else vars(self.regression),
+            "floor": None if self.floor is None else vars(self.floor),
             "seconds": self.seconds,
         }
 
@@ -181,6 +185,11 @@ def check_claim(claim: Claim, pools: Pools) -> Result:
     ------
     InputError
         Naming the claim, if its scene cannot be measured or has no such quantity.
+
+    Warns
+    -----
+    InputWarning
+        If more samples would change what its scans measure.
     """
     start = time.perf_counter()
     pools.check(claim)
@@ -197,7 +206,10 @@ def check_claim(claim: Claim, pools: Pools) -> Result:
     else:
         verdict = judge_each(values, margins, claim.confidence, claim.each)
     bounds = tuple(limit.of(other) for limit, other in pairs)
-    return Result(claim, verdict, values, bounds, seconds)
+    floor, scene = pools.floor(claim), pools.scene(claim.settings)
+    if floor is not None and (doubt := floor.doubt(scene.samples)):
+        warn_user(f"scene {floor.of}", doubt)
+    return Result(claim, verdict, values, bounds, seconds, floor=floor)
 
 
 def with_regressions(

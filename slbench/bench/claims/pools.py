@@ -16,8 +16,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Hashable
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,15 +39,62 @@ from slbench.core import resources
 from slbench.core.errors import InputError, located
 from slbench.core.io import plain
 from slbench.core.random import tagged_seed
+from slbench.core.show.display import length
 from slbench.objects.registry import artefacts
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene, SceneObject
-from slbench.simulate.scan import scan
+from slbench.simulate.floors import more_samples
+from slbench.simulate.scan import scan, score_scan
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 _MESH = ("vertices", "faces")
+_FLOORS = ("floor_rms_px", "monte_carlo_rms_px")
+
+
+@dataclass(frozen=True)
+class Floor:
+    """What is left of a claim's scans without noise, means over the repeats.
+
+    Parameters
+    ----------
+    of : str
+        Scene and, in a comparison, the pattern set.
+    whole : float
+        Error without the detector.
+    monte_carlo : float
+        The part of it that more samples would take away; NaN where it is not known.
+    error : float
+        With the detector.
+    unit : {"px", "mm"}
+        Panel pixels, RMS over smooth surface; or mm, the median over the pixels of a comparison.
+    """
+
+    of: str
+    whole: float
+    monte_carlo: float
+    error: float
+    unit: Literal["px", "mm"]
+
+    def text(self) -> str:
+        """Return floor and Monte Carlo part in a line."""
+        whole, sampling = self._length(self.whole), self._length(self.monte_carlo)
+        return f"{self.of}: floor without noise {whole}, {sampling} by sampling"
+
+    def _length(self, value: float) -> str:
+        return length(value) if self.unit == "mm" else f"{value:.4f} px"
+
+    def doubt(self, samples: int) -> str | None:
+        """Question a number of samples whose Monte Carlo error is seen in the scans."""
+        more = more_samples(samples, self.error, self.monte_carlo)
+        if more is None:
+            return None
+        sampling, error = self._length(self.monte_carlo), self._length(self.error)
+        return (
+            f"sampling makes {sampling} of the {error} error: {more} samples a pixel instead of "
+            f"{samples} would change it (samples in the claim, render.samples in the scene)"
+        )
 
 
 class Pools:
@@ -74,7 +121,8 @@ class Pools:
         self._on_progress = on_progress
         self._scenes: dict[Settings, Scene] = {}
         self._rows: dict[Hashable, list[Row]] = {}
-        self._further: set[str] = set()  # of claim_quantities, by the claims that were checked
+        # Of claim_quantities: what floors are made of, and by the claims that were checked.
+        self._further: set[str] = set(_FLOORS)
 
     def scene(self, settings: Settings) -> Scene:
         """Return the scene with its settings, loaded once."""
@@ -138,6 +186,36 @@ class Pools:
         ]
         return values, others
 
+    def floor(self, claim: Claim) -> Floor | None:
+        """Return what a claim's scans leave without noise; None for speed and where nothing is."""
+        scene = self.scene(claim.settings)
+        of = scene.name
+        if claim.family == "speed":
+            return None
+        if claim.family == "set":
+            name, _ = pattern_set(claim.quantity, claim.name)
+            of += f", {{{name}}}"
+            found = [row[name] for row in self._comparisons(claim, scene) if row]
+            numbers = [
+                (s.floor_median_mm, s.monte_carlo_median_mm, s.error_median_mm) for s in found
+            ]
+        else:
+            rows = self._scans(claim, claim.settings)
+            errors = [f"smooth_rms_px.{axis}" for axis in scene.sequence.axes]
+            numbers = [
+                (
+                    *(row[key] for key in _FLOORS),
+                    float(np.sqrt(np.mean([row[e] ** 2 for e in errors]))),
+                )
+                for row in rows
+            ]
+        if not numbers:
+            return None
+        whole, sampling, error = np.mean(numbers, axis=0).tolist()
+        if np.isnan(whole):
+            return None
+        return Floor(of, whole, sampling, error, "mm" if claim.family == "set" else "px")
+
     def _values(self, claim: Claim, quantity: str, settings: Settings) -> Array:
         scene = self.scene(settings)
         if claim.family == "set":
@@ -153,15 +231,20 @@ class Pools:
             )
             return np.array([row[quantity.removeprefix("speed.")] for row in rows])
         names = resolve(quantity, scene, f'claim "{claim.name}"')
-        further = frozenset(self._further)
-        rows = self._repeats(
-            (settings, further),
-            claim.repeats,
-            scene.name,
-            lambda seed: score_values(scan(scene, seed=seed, noise=settings.noise), further),
-        )
+        rows = self._scans(claim, settings)
         # The largest of a family of features; NaN if one of them was not measured.
         return np.array([[row[name] for name in names] for row in rows]).max(axis=1)
+
+    def _scans(self, claim: Claim, settings: Settings) -> list[Row]:
+        """Return the numbers of a claim's scans, repeat by repeat."""
+        scene, further = self.scene(settings), frozenset(self._further)
+
+        def one(seed: int) -> Row:
+            # Scored here: of all repeats together it is told where sampling is seen.
+            made = scan(scene, seed=seed, noise=settings.noise, score=False)
+            return score_values(replace(made, scores=score_scan(made)), further)
+
+        return self._repeats((settings, further), claim.repeats, scene.name, one)
 
     def _comparisons(self, claim: Claim, scene: Scene) -> list[dict[str, SetResult]]:
         """Return the sets' results, repeat by repeat; none where nothing can be compared."""
@@ -176,6 +259,7 @@ class Pools:
                     equal=claim.equal,
                     seed=seed,
                     shifts=settings.shifts or own_shifts(scene),
+                    question=False,
                 )
             except NothingToCompare:
                 return {}

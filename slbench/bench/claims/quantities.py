@@ -55,11 +55,16 @@ class Quantity:
 claim_quantities: Registry[Quantity] = Registry(
     "claim quantity",
     "slbench.claim_quantities",
-    {"floor_rms_px": "slbench.bench.claims.quantities:FLOOR"},
+    {
+        "floor_rms_px": "slbench.bench.claims.quantities:FLOOR",
+        "monte_carlo_rms_px": "slbench.bench.claims.quantities:SAMPLING",
+    },
     base="slbench.bench.claims.quantities:Quantity",
 )
 #: The renderer's own error.
 FLOOR = Quantity(lambda scan: scan.floor_rms_px, "px")
+#: The part of it that more samples would take away.
+SAMPLING = Quantity(lambda scan: scan.monte_carlo_rms_px, "px")
 
 #: What :mod:`slbench.bench.claims.speed` measures.
 SPEED_FIELDS = ("patterns36_per_render", "pattern_per_render")

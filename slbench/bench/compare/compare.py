@@ -40,14 +40,16 @@ from slbench.bench.compare.tiles import (
 )
 from slbench.bench.statistics import percentile_interval
 from slbench.capture.stack import WeightSource
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.random import tagged_seed
+from slbench.core.show.display import length
 from slbench.core.show.document import Cloud
 from slbench.core.validation import types
 from slbench.core.validation.values import checked
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
+from slbench.simulate.floors import more_samples
 from slbench.simulate.stack import traced
 from slbench.simulate.transport import LightTransport
 
@@ -81,6 +83,7 @@ def compare(
     transports: Sequence[LightTransport] | None = None,
     truth: GroundTruth | None = None,
     weights: WeightSource = "lit",
+    question: bool = True,
     on_progress: Progress | None = None,
 ) -> Comparison:
     """Scan a scene repeatedly with each pattern set and compare what comes out.
@@ -105,6 +108,8 @@ def compare(
         Likewise.
     weights : {"lit", "modulation"}
         Where a focus stack's settings are judged to be sharp.
+    question : bool
+        Whether to warn of too few samples; False where the caller sums up several comparisons.
     on_progress : callable, optional
         Called with the name of the stage and its finished fraction.
 
@@ -121,6 +126,11 @@ def compare(
         weights by modulation without focus settings to weigh.
     NothingToCompare
         For no pixel that all sets measure.
+
+    Warns
+    -----
+    InputWarning
+        If more samples would change the distance from the truth.
     """
     shifts = own_shifts(scene) if shifts is None else shifts
     chosen = pattern_sets(sets, scene, shifts=shifts, equal=equal)
@@ -198,6 +208,8 @@ def compare(
             {name: draws[name, quantity] for name in found} for quantity in ("std", "error")
         )
         ranking = ranked(std)
+    if question and (doubt := _samples_doubt(results, transports[0].samples)):
+        warn_user(f"scene {scene.name}", doubt)
     seconds["total"] = time.perf_counter() - begin
     return Comparison(
         scene=scene.name,
@@ -225,6 +237,23 @@ def compare(
     )
 
 
+def _samples_doubt(results: Sequence[SetResult], samples: int) -> str | None:
+    """Question a number of samples whose Monte Carlo error is seen in the distance from truth."""
+    counts = [
+        more_samples(samples, one.error_median_mm, one.monte_carlo_median_mm) or 0
+        for one in results
+    ]
+    more = max(counts)
+    if not more:
+        return None
+    worst = results[counts.index(more)]
+    return (
+        f"sampling makes {length(worst.monte_carlo_median_mm)} of the "
+        f"{length(worst.error_median_mm)} error of {{{worst.name}}}: {more} samples a pixel "
+        f"instead of {samples} would change it (render.samples)"
+    )
+
+
 def _true(scene: Scene) -> GroundTruth:
     from slbench.simulate.render.groundtruth import ground_truth
 
@@ -249,6 +278,12 @@ def _quantities(result: Repeats) -> dict[str, Array]:
     scans = np.maximum(result.scans, 1)
     error = np.sqrt(result.square_mm2 / scans)
     return {"std": result.std_mm, "std_z": result.std_z_mm, "error": error}
+
+
+def _median(values: Array) -> float:
+    """Return the median of what is finite; NaN of nothing."""
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if finite.size else float("nan")
 
 
 def _shared(one: PatternSet, found: Repeats, common: NDArray[np.bool_]) -> float:
@@ -310,6 +345,8 @@ def _result(
         std_over_predicted=_std_over_predicted(found, common),
         error_median_mm=medians[one.name, "error"],
         error_ci95_mm=interval["error"],
+        floor_median_mm=_median(found.floor_mm[common]),
+        monte_carlo_median_mm=_median(found.sampling_mm[common]),
         bias_mm=float(np.mean(found.error_mm[common, 2])),
         rms_mm=float(np.sqrt(found.square_mm2[common].sum() / found.scans[common].sum())),
         order_error_rate=found.order_error_rate,

@@ -67,6 +67,10 @@ class SetResult:
         RMS over the pixels of the ratio of both: 1 where the detector's noise is all there is.
     error_median_mm, error_ci95_mm : float, (float, float)
         RMS distance of a point from the truth over the repeats: median over the pixels.
+    floor_median_mm, monte_carlo_median_mm : float
+        Distance of a point from the truth without noise: median over the pixels; and the part of it
+        that more samples would take away (:mod:`slbench.simulate.floors`), NaN where the transport
+        does not know.
     bias_mm : float
         Mean height error.
     rms_mm : float
@@ -99,6 +103,8 @@ class SetResult:
     std_over_predicted: float
     error_median_mm: float
     error_ci95_mm: tuple[float, float]
+    floor_median_mm: float
+    monte_carlo_median_mm: float
     bias_mm: float
     rms_mm: float
     order_error_rate: float
@@ -127,6 +133,8 @@ class SetResult:
             "std_over_predicted": self.std_over_predicted,
             "error_median_mm": self.error_median_mm,
             "error_ci95_mm": list(self.error_ci95_mm),
+            "floor_median_mm": self.floor_median_mm,
+            "monte_carlo_median_mm": self.monte_carlo_median_mm,
             "bias_mm": self.bias_mm,
             "rms_mm": self.rms_mm,
             "order_error_rate": self.order_error_rate,

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.comparison import Step
 from slbench.bench.compare.sets import PatternSet
+from slbench.capture.fusion import FusionWeights
 from slbench.capture.stack import WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
 from slbench.patterns import PhaseMap
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.features import StepScore, fit_features
+from slbench.simulate.floors import halves, noise_free_coordinates, phase_map
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
@@ -46,6 +48,9 @@ class Repeats:
         Mean deviation from the truth.
     square_mm2 : (P,) float
         Sum of squared distances from the truth.
+    floor_mm, sampling_mm : (P,) float
+        Distance from the truth without noise, and from what half of the samples would give
+        (:mod:`slbench.simulate.floors`); NaN where it is not known.
     order_error_rate, completeness, seconds : float
     exposure_s : float
     steps : tuple of Step
@@ -59,6 +64,8 @@ class Repeats:
     predicted_mm: Array
     error_mm: Array
     square_mm2: Array
+    floor_mm: Array
+    sampling_mm: Array
     order_error_rate: float
     completeness: float
     seconds: float
@@ -108,14 +115,15 @@ def scan_repeats(
     wrong, lit_points, exposure_s = 0, 0, float("nan")
     times: list[float] = []
     heights: list[dict[tuple[int, str], StepScore]] = []
-    stages = dict.fromkeys(("capture", "decode", "reconstruct", "sum up"), 0.0)
+    stages = dict.fromkeys(("capture", "decode", "reconstruct", "sum up", "floor"), 0.0)
+    weighed: FusionWeights | None = None
     for r in range(repeats):
         clock = [time.perf_counter()]
         own = given.seed(seed, r)
         stack = capture_stack(patterned, transports, seed=own)
         clock.append(time.perf_counter())
         fused = stack.fuse(weights)
-        shots, phase = fused.capture, fused.decode()
+        shots, phase, weighed = fused.capture, fused.decode(), fused.weights
         clock.append(time.perf_counter())
         cloud = triangulate(scene.rig, phase)
         clock.append(time.perf_counter())
@@ -132,11 +140,14 @@ def scan_repeats(
         exposure_s = float("nan") if shots.exposure_s is None else shots.exposure_s
         clock.append(time.perf_counter())
         spent = np.diff(clock)
-        for name, seconds in zip(stages, spent, strict=True):
+        for name, seconds in zip(stages, spent, strict=False):
             stages[name] += float(seconds)
         times.append(float(spent[1] + spent[2]))
         if on_progress:
             on_progress((r + 1) / repeats)
+    start = time.perf_counter()
+    floor, sampling = _floors(patterned, transports, weighed, pixels, true)
+    stages["floor"] = time.perf_counter() - start
     measured = int(sums.scans.sum())
     lit = int(np.count_nonzero(truth.lit))
     return Repeats(
@@ -146,6 +157,8 @@ def scan_repeats(
         np.sqrt(sums.variance / np.maximum(sums.scans, 1)),
         sums.mean,
         sums.square,
+        floor,
+        sampling,
         wrong / measured if measured else float("nan"),
         lit_points / (repeats * lit) if lit else float("nan"),
         float(np.median(times)),
@@ -153,6 +166,26 @@ def scan_repeats(
         _over_repeats(heights),
         stages,
     )
+
+
+def _floors(
+    scene: Scene,
+    transports: Sequence[LightTransport],
+    weights: FusionWeights | None,
+    pixels: NDArray[np.intp],
+    true: Array,
+) -> tuple[Array, Array]:
+    """Return distances of noise-free points from the truth, and from those of half the samples."""
+
+    def points(lights: Sequence[LightTransport]) -> Array:
+        sequence, projector = scene.sequence, scene.rig.projector
+        coordinates = noise_free_coordinates(lights, sequence, projector, weights)
+        cloud = triangulate(scene.rig, phase_map(coordinates))
+        return cloud.image(cloud.points).reshape(-1, 3)[pixels]
+
+    found, half = points(transports), halves(transports)
+    other = np.full_like(found, np.nan) if half is None else points(half)
+    return np.linalg.norm(found - true, axis=1), np.linalg.norm(found - other, axis=1)
 
 
 class _Sums:

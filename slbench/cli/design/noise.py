@@ -69,7 +69,13 @@ def noise(
         draw(found, temporary / "noise.png")
     if as_json:
         values = {
-            name: {"fringes": t.fringes, "z_mm": t.z_mm, "sigma_rad": t.sigma_rad}
+            name: {
+                "fringes": t.fringes,
+                "z_mm": t.z_mm,
+                "sigma_rad": t.sigma_rad,
+                "floor_rad": t.floor_rad,
+                "monte_carlo_rad": t.monte_carlo_rad,
+            }
             for name, t in found.items()
         }
         print_json(values | {"out": str(out)})
@@ -79,7 +85,13 @@ def noise(
         table.add_column("z / mm", justify="right")
         for count in measured.fringes:
             table.add_column(str(count), justify="right")
-        for z, column in zip(measured.z_mm, measured.sigma_rad.T, strict=True):
-            table.add_row(f"{z:g}", *(f"{s:.4f}" if np.isfinite(s) else "-" for s in column))
+        rows = [(f"{z:g}", c) for z, c in zip(measured.z_mm, measured.sigma_rad.T, strict=True)]
+        floors = measured.floors()
+        if floors is not None:
+            rows += zip(("floor", "sampling"), floors, strict=True)
+        for k, (label, values) in enumerate(rows):
+            shown = (f"{s:.4f}" if np.isfinite(s) else "-" for s in values)
+            table.add_row(label, *shown, end_section=k == len(measured.z_mm) - 1)
         print_table(table)
+    print("floor: error of the phase without noise; sampling: the part that more samples take away")
     print(f"Written to {out}: slbench design patterns --noise-table takes the tables")

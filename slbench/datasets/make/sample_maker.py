@@ -52,7 +52,7 @@ from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth, Status
 from slbench.score.points import score
 from slbench.simulate.expose import capture
-from slbench.simulate.scan import floors_px
+from slbench.simulate.floors import floors_px
 from slbench.simulate.transport import LightTransport, Marginal
 
 #: Why draws are rejected.

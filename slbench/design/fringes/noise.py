@@ -30,6 +30,7 @@ from slbench.core.io import read_table, write_table
 from slbench.core.show.display import brief
 from slbench.core.validation.values import checked
 from slbench.patterns import Axis, Placed
+from slbench.simulate.floors import rms
 
 Array = NDArray[np.float64]
 Estimator = Literal["per-pixel", "pooled"]
@@ -52,6 +53,10 @@ class PhaseNoise:
         Heights.
     shifts : int
         Shifts N that it was measured with; other N scale it by sqrt(shifts / N).
+    floor_rad, monte_carlo_rad : (k, m) float, optional
+        What a simulation knows beside its noise: the RMS error of the phase without the detector,
+        and the part of it that more samples would take away; NaN where the fringes are washed out.
+        Files do not keep them.
 
     Raises
     ------
@@ -63,6 +68,8 @@ class PhaseNoise:
     sigma_rad: Array
     z_mm: Array
     shifts: int = 3
+    floor_rad: Array | None = None
+    monte_carlo_rad: Array | None = None
 
     __repr__ = brief
 
@@ -70,8 +77,10 @@ class PhaseNoise:
         if self.fringes.ndim != 1 or len(self.fringes) == 0 or np.any(np.diff(self.fringes) < 1):
             raise InputError("phase noise: fringes", "ascending counts", self.fringes)
         shape = (len(self.fringes), len(self.z_mm))
-        if self.sigma_rad.shape != shape or shape[1] == 0:
-            raise InputError("phase noise: sigma_rad", f"shape {shape}", self.sigma_rad.shape)
+        for name in ("sigma_rad", "floor_rad", "monte_carlo_rad"):
+            array = getattr(self, name)
+            if array is not None and (array.shape != shape or shape[1] == 0):
+                raise InputError(f"phase noise: {name}", f"shape {shape}", array.shape)
         finite = self.sigma_rad[np.isfinite(self.sigma_rad)]
         if not (np.all(self.sigma_rad > 0.0) and np.all(finite <= pi)):
             expected = "positive numbers (rad), at most pi unless infinite"
@@ -127,6 +136,18 @@ class PhaseNoise:
                 for z, sigma in zip(self.z_mm, row, strict=True)
             ),
         )
+
+    def floors(self) -> tuple[Array, Array] | None:
+        """Return floor and Monte Carlo part, RMS over the heights, (k,) each, rad.
+
+        None where they are not known; NaN for fringes that are washed out everywhere.
+        """
+        if self.floor_rad is None or self.monte_carlo_rad is None:
+            return None
+        whole, sampling = (
+            [rms([row]) for row in rows] for rows in (self.floor_rad, self.monte_carlo_rad)
+        )
+        return np.array(whole), np.array(sampling)
 
     def of(self, fringes: int, shifts: int | None = None) -> Array:
         """Return sigma_phi of `fringes` at all heights, (m,), rad.

@@ -23,13 +23,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from math import ceil
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.stack import FusedCapture, WeightSource
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.random import generator, tagged_seed
 from slbench.core.validation.types import Repeats
 from slbench.core.validation.values import checked
@@ -40,7 +41,8 @@ from slbench.patterns import NoiseModel
 from slbench.patterns.phase import squared_modulation_bias
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.repeats import plate_scene, repeated_phases
+from slbench.simulate.floors import ordinary_rms, rms
+from slbench.simulate.repeats import noise_free_waves, plate_scene, repeated_phases
 from slbench.simulate.stack import capture_stack, traced
 
 Array = NDArray[np.float64]
@@ -52,6 +54,10 @@ SAFETY = 2.0
 HEIGHTS = (-0.8, 0.0, 0.8)
 #: Fringes weaker than this are not seen, as in :func:`slbench.patterns.decode`, DN.
 _MIN_MODULATION = 3.0
+#: A noise that more samples would change by more is questioned.
+_CHANGE = 0.05
+#: Most times the samples that is advised.
+_MOST_SAMPLES = 1e4
 #: Pixels that are followed over the repeats: sigma to 0.1 % with 20 repeats.
 _PIXELS = 50_000
 
@@ -163,16 +169,25 @@ def noise_of_scene(
     ------
     InputError
         If the plate is not seen and lit at a height, or saturates.
+
+    Warns
+    -----
+    InputWarning
+        If more samples would change the noise.
     """
     from slbench.simulate.render.groundtruth import ground_truth
+
+    samples = 0  # as many as were traced
 
     heights = np.array(
         [share * scene.rig.volume_mm[2] / 2 for share in HEIGHTS] if z_mm is None else z_mm, float
     )
     sigma = np.full((len(fringes), len(heights)), np.inf)
+    floor, sampling, change = (np.full(sigma.shape, np.nan) for _ in range(3))
     for j, height in enumerate(heights):
         plate = plate_scene(scene, height, texture_mm)
         transports = traced(plate, ("u",), seed=tagged_seed(seed, _LIGHT, j + 1))
+        samples = transports[0].samples
         truth = ground_truth(plate.objects, plate.rig)
         pixels = _chosen(truth, seed)
         turns = (truth.panel[..., 0].ravel()[pixels] + 0.5) / scene.rig.projector.width
@@ -202,7 +217,39 @@ def noise_of_scene(
             in_step = modulation[:, k] * np.cos(phases[:, k] - 2.0 * np.pi * n * turns)
             if np.nanmean(in_step) >= _MIN_MODULATION:
                 sigma[k, j] = estimate_noise(phases[:, k]).sigma_rad
-    return PhaseNoise(np.array(fringes, np.int64), sigma, heights, shifts)
+        seen = np.isfinite(sigma[:, j])
+        own = tagged_seed(seed, _NOISE, j)
+        counts = np.array(fringes)[seen]
+        whole, half = noise_free_waves(
+            *(plate, transports, counts.tolist(), pixels), shifts=shifts, seed=own, weights=weights
+        )
+        off = np.angle(whole * np.exp(-2j * np.pi * np.outer(counts, turns)))
+        floor[seen, j] = [rms([row]) for row in off]
+        if half is not None:
+            sampling[seen, j] = [ordinary_rms([row]) for row in np.angle(half * np.conj(whole))]
+            change[seen, j] = [_change(*pair) for pair in zip(whole, half, strict=True)]
+    if np.any(change > _CHANGE):
+        k, j = divmod(int(np.nanargmax(change)), len(heights))
+        # The bias of a noise falls as the variance of the contrast does.
+        more = samples * ceil(min(change[k, j] / _CHANGE, _MOST_SAMPLES))
+        doubt = (
+            f"sampling makes {100.0 * change[k, j]:.0f} % of the noise of {fringes[k]} fringes at "
+            f"z = {heights[j]:g} mm: {more} samples a pixel instead of {samples} would change it "
+            "(render.samples)"
+        )
+        warn_user(f"scene {scene.name}", doubt)
+    counts = np.array(fringes, np.int64)
+    return PhaseNoise(counts, sigma, heights, shifts, floor, sampling)
+
+
+def _change(whole: NDArray[np.complex128], half: NDArray[np.complex128]) -> float:
+    """Return the share of a noise that an uncertain contrast makes, of waves (P,).
+
+    Noise is 1 / b.  An error of variance e^2 of b adds e^2 to the mean of 1 / b^2, and half of the
+    samples have twice the variance: what they add to all is what all add to the truth.
+    """
+    all_of_them, fewer = (ordinary_rms([1.0 / np.abs(wave)]) for wave in (whole, half))
+    return fewer / all_of_them - 1.0
 
 
 @checked

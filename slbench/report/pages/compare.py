@@ -83,7 +83,7 @@ def _sets(comparison: Comparison) -> Table:
         f"std / {std.name}",
         "95 %",
         "std / predicted",
-        *(f"{name} / {error.name}" for name in ("error", "bias", "RMS")),
+        *(f"{name} / {error.name}" for name in ("error", "floor", "sampling", "bias", "RMS")),
         "order errors",
         "complete / %",
     )
@@ -95,6 +95,8 @@ def _sets(comparison: Comparison) -> Table:
             _interval(one.std_ci95_mm, std.per_mm),
             one.std_over_predicted,
             error.per_mm * one.error_median_mm,
+            error.per_mm * one.floor_median_mm,
+            error.per_mm * one.monte_carlo_median_mm,
             error.per_mm * one.bias_mm,
             error.per_mm * one.rms_mm,
             one.order_error_rate,
@@ -108,8 +110,9 @@ def _sets(comparison: Comparison) -> Table:
         f"{comparison.repeats} repeats{equal}; {comparison.pixels} pixels, {share:.1f} % of the "
         "lit ones. std: over the repeats, of the point, median over the pixels. "
         "std / predicted: RMS ratio to what the decoder predicts from the detector's noise, 1 if "
-        "that is all. error: RMS distance from the truth, median over the pixels; RMS over all of "
-        "them. Order errors and completeness: of all that was measured, of all that is lit. "
+        "that is all. error: RMS distance from the truth, median over the pixels; floor: the same "
+        "without noise; sampling: the part of the floor that more samples take away; RMS over all "
+        "pixels. Order errors and completeness: of all that was measured, of all that is lit. "
         + verdict(comparison)
     )
     notes = [f"{{{one.name}}}: {one.note}." for one in comparison.sets if one.note]

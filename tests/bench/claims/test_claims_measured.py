@@ -48,7 +48,7 @@ from slbench.patterns.fringes import decode as decoding
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene
 from slbench.score.points import Score
-from slbench.simulate.scan import scan
+from slbench.simulate.scan import scan, score_scan
 
 BASE = {"scene": "small.toml", "repeats": 5}
 #: The panel coordinate's RMS error is 0.063 px here, by geometry and sampling more than by noise.
@@ -108,7 +108,9 @@ class TestQuantities:
         assert sorted(name for (name,) in canonical) == sorted(values)
         assert np.isfinite(list(values.values())).all()
         scalars = [f.name for f in fields(Score) if f.type in ("int", "float")]
-        assert set(scalars) | {"floor_rms_px", "smooth_rms_px.u"} <= set(values)
+        assert set(scalars) | {"floor_rms_px", "monte_carlo_rms_px", "smooth_rms_px.u"} <= set(
+            values
+        )
 
     def test_values_are_those_of_the_score(self):
         result = scan(small("step-block"), seed=1)
@@ -247,12 +249,11 @@ class TestChecking:
         assert "margin" in finer.line()
 
     def test_what_was_not_measured_fails(self, tmp_path, monkeypatch):
-        def blind(scene, **options):
-            result = scan(scene, **options)
-            points = replace(result.score, steps=[])
-            return replace(result, scores=replace(result.scores, points=points))
+        def blind(made):
+            scores = score_scan(made)
+            return replace(scores, points=replace(scores.points, steps=[]))
 
-        monkeypatch.setattr(pooling, "scan", blind)
+        monkeypatch.setattr(pooling, "score_scan", blind)
         (result,) = check(tmp_path, STEP | {"repeats": 2})
         assert result.outcome == "fails"
         assert "was not measured in 2 of 2 repeats" in result.line()
