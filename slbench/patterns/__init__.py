@@ -8,6 +8,7 @@ from slbench.patterns.base import Axis, Code, Found, Observed, Panel, Placed, Ru
 from slbench.patterns.decode import MIN_MODULATION_DN, PhaseMap, decode
 from slbench.patterns.flat import Flat
 from slbench.patterns.fringes import Fringes
+from slbench.patterns.fringes.ways import closest_rival
 from slbench.patterns.gray import GrayCode
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.panel import panel_response
@@ -37,6 +38,7 @@ __all__ = [
     "Placed",
     "Run",
     "Variation",
+    "closest_rival",
     "decode",
     "order_error_probability",
     "panel_response",
