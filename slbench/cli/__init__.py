@@ -44,6 +44,7 @@ SECTIONS = {
     },
     "Design and make": {
         "design": "slbench.cli.design:group",
+        "patterns": "slbench.cli.patterns:group",
         "dataset": "slbench.cli.dataset:group",
     },
     "Inspect": {

@@ -41,6 +41,7 @@ __all__ = [
     "FringePeriod",
     "FringeWidth",
     "Gain",
+    "Gamma",
     "Ge",
     "GrayBits",
     "Grey",
@@ -173,6 +174,8 @@ GrayBits = Annotated[int, Interval(ge=1, le=20)]
 #: Width of a cell of a Gray code, and what of the first one lies before the panel, px.
 CellWidth = Annotated[float, FINITE, Interval(ge=1.0, le=65536.0)]
 CellOffset = Annotated[float, FINITE, Interval(ge=0.0, le=65536.0)]
+#: Exponent of a projector, for which pictures are made.
+Gamma = Annotated[float, FINITE, Interval(ge=0.1, le=10.0)]
 #: A digital number.
 GreyLevel = Annotated[int, Interval(ge=1, le=65535)]
 #: Monte Carlo samples a pixel.

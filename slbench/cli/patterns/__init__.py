@@ -1,0 +1,15 @@
+"""``slbench patterns``: what can be projected."""
+
+from slbench.cli.lazy import Group
+
+group = Group(
+    "patterns",
+    "Pattern sets: what there is, and pictures for a real projector.",
+    {
+        "Commands": {
+            "list": "slbench.cli.patterns.list:list_patterns",
+            "show": "slbench.cli.patterns.show:show",
+            "write": "slbench.cli.patterns.write:write",
+        }
+    },
+)

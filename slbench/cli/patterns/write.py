@@ -1,0 +1,38 @@
+"""``slbench patterns write``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slbench.cli.lazy import command
+from slbench.cli.patterns.given import Axes, Panel, PatternText, sequence_of
+from slbench.core.validation.types import Gamma, PanelBits, Whole
+
+
+@command('slbench patterns write "gray+16@4" --panel 1280 800 --gamma 2.2 --out session')
+def write(
+    patterns: PatternText,
+    panel: Panel,
+    out: Annotated[Path, typer.Option(help="Folder to write to.")],
+    axes: Axes = "u",
+    bits: Annotated[PanelBits, typer.Option(help="Of the projector; above 8: 16 bit files.")] = 8,
+    gamma: Annotated[
+        Gamma, typer.Option(help="Of the projector; its inverse is put into the pictures.")
+    ] = 1.0,
+    border_px: Annotated[Whole, typer.Option(help="Panel pixels that stay dark at the ends.")] = 0,
+) -> None:
+    """Write pictures for a real projector, and the manifest for the photographs of them."""
+    from slbench.capture.shown import PHOTOGRAPHS, SHOWN_FOLDER, write_pictures
+
+    sequence = sequence_of(patterns, panel, axes)
+    sequence.runs()  # says what is missing where it cannot be decoded
+    SHOWN_FOLDER.check(out, "--out")
+    write_pictures(sequence, out, bits=bits, gamma=gamma, border_px=border_px)
+    count = sequence.n_frames
+    print(
+        f"Written to {out}: project {out / 'patterns'} in order, put the {count} photographs into "
+        f"{out / PHOTOGRAPHS} under the same names, then: slbench decode {out}"
+    )
