@@ -56,7 +56,8 @@ class Decoded:
         ----------
         folder : path
             For ``phase.exr`` (``modulation``, ``mean``, ``mask`` and, by axis, ``panel.u`` and
-            ``sigma.u``, px), ``cloud.ply`` (points and ``sigma``, mm, if there are any),
+            ``sigma.u``, px; and, where nothing tells fringes apart, ``relative.u.0``, rad, of every
+            set in order of projection), ``cloud.ply`` (points and ``sigma``, mm, if there are any),
             ``decode.json`` and ``provenance.json``.
         parameters : mapping
             For the provenance.
@@ -68,6 +69,11 @@ class Decoded:
             "mask": phase.mask,
             **{f"panel.{axis}": values for axis, values in phase.coordinate.items()},
             **{f"sigma.{axis}": values for axis, values in phase.sigma.items()},
+            **{
+                f"relative.{axis}.{k}": values
+                for axis, sets in phase.relative.items()
+                for k, (_, values) in enumerate(sets)
+            },
         }
         single = {name: values.astype(np.float32) for name, values in channels.items()}
         with DECODED_FOLDER.writing(folder, parameters, None) as temporary:

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from photographed import photograph
 
+from slbench.capture import Capture
+from slbench.cloud.decoded import decode_capture
 from slbench.core.errors import InputError
+from slbench.core.io import read_exr
 from slbench.patterns import Flat, Fringes, GrayCode, NoiseModel, PatternSequence, decode
 from slbench.patterns.fringes.ways import beats, closest_rival
 
@@ -238,3 +241,13 @@ def test_noise_picks_the_closest_rival_as_often_as_its_distance_says():
     assert 1e-3 < rate < 0.1
     # A false alarm in 10,000; the seed is fixed.
     assert binomtest(wrong, int(found.mask.sum()), rate).pvalue > 1e-4
+
+
+def test_relative_phases_are_written_where_they_are_the_result(tmp_path):
+    sequence = told(Fringes(8, 4), Fringes(11, 3), unwrap="none")
+    frames = taken(sequence)
+    decode_capture(Capture(frames, sequence)).save(tmp_path / "out", {})
+    written = read_exr(tmp_path / "out" / "phase.exr")
+    relative = decode(frames, sequence).relative["u"]
+    for k, (_, phase) in enumerate(relative):
+        np.testing.assert_array_equal(written[f"relative.u.{k}"], phase.astype(np.float32))
