@@ -10,6 +10,7 @@ from slbench.patterns.flat import Flat
 from slbench.patterns.fringes import Fringes
 from slbench.patterns.fringes.ways import closest_rival
 from slbench.patterns.gray import GrayCode
+from slbench.patterns.matching import MatchedCode
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.panel import panel_response
 from slbench.patterns.phase import (
@@ -30,6 +31,7 @@ __all__ = [
     "Frame",
     "Fringes",
     "GrayCode",
+    "MatchedCode",
     "NoiseModel",
     "Observed",
     "Panel",

@@ -1,0 +1,94 @@
+"""Codes without a closed form: a family that says what it shows is decoded by matching."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from slbench.core.errors import InputError
+from slbench.patterns.base import Axis, Code, Decoded, FloatArray, Found, Observed, Run, extent
+from slbench.patterns.matching.vectors import CodeVectors, Nuisance
+
+
+class MatchedCode(Code):
+    """A code that is decoded by matching; a family needs no further line for it.
+
+    It says which axis it codes, how many frames it has and what each shows
+    (:meth:`Code.profile`).  Evidence: ``correlation``, normalised, with the best place;
+    ``rival``, the correlation of the best other peak over it; ``fit_residual_dn``, what the best
+    place leaves of the frames, DN.
+    """
+
+    @property
+    def nuisance(self) -> Nuisance:
+        """What is unknown of a pixel beside its place: a gain and an offset, by default."""
+        return Nuisance()
+
+    @classmethod
+    def vectors(cls, run: Run) -> CodeVectors:
+        """Return the code vectors of a run along its one axis."""
+        size = extent(run.panel, run.axes[0])
+        profiles = [
+            np.array([placed.code.profile(k, size) for k in range(len(placed.frames))])
+            for placed in run.parts
+        ]
+        return vectors_of_parts(profiles, run.parts[0].code)
+
+    @classmethod
+    def decode_run(cls, run: Run, observed: Observed, found: Mapping[Axis, Found]) -> Decoded:
+        """Decode the frames of the run by matching, near what coarser codes have found."""
+        from slbench.patterns.matching.match import match
+
+        (axis,) = run.axes
+        indices = [k for placed in run.parts for k in placed.frames]
+        pixels = observed.pixels[indices]
+        coarse = found.get(axis)
+        near = None
+        if coarse is not None:
+            known = np.where(coarse.mask, coarse.coordinate, np.nan)
+            near = (known, coarse.sigma)
+        result = match(pixels, cls.vectors(run), observed.noise, near)
+        mean: FloatArray = pixels.mean(axis=0, dtype=np.float64)
+        modulation = 0.5 * result.gain
+        noise = np.sqrt(observed.noise.variance(mean))
+        mask = (
+            result.sure
+            & np.isfinite(result.sigma)
+            & (modulation >= observed.min_modulation)
+            & (modulation >= observed.min_snr * noise)
+        )
+        evidence: dict[int, dict[str, Any]] = {}
+        if observed.keep_evidence:
+            evidence[run.parts[0].index] = {
+                "correlation": result.correlation,
+                "rival": result.rival,
+                "fit_residual_dn": result.residual_dn,
+            }
+        return {
+            axis: Found(
+                coordinate=result.coordinate,
+                sigma=result.sigma,
+                modulation=modulation,
+                mean=mean,
+                mask=mask,
+                evidence=evidence,
+            )
+        }
+
+    @classmethod
+    def check_run(cls, run: Run, before: Sequence[Run]) -> None:
+        """Raise InputError for fewer frames than a gain, an offset and a place need."""
+        frames = sum(len(placed.frames) for placed in run.parts)
+        if frames < 3:
+            where = f"decode: parts[{run.parts[0].index}]"
+            raise InputError(where, "at least 3 frames, to be decoded by matching", frames)
+
+
+def vectors_of_parts(profiles: Sequence[FloatArray], code: Code) -> CodeVectors:
+    """Return the code vectors of the profiles (n, X) of each part."""
+    nuisance = code.nuisance if isinstance(code, MatchedCode) else Nuisance()
+    counts = [len(profile) for profile in profiles]
+    parts = np.repeat(np.arange(len(counts)), counts)
+    return CodeVectors(np.concatenate(profiles), parts, nuisance)
