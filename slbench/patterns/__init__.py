@@ -9,12 +9,12 @@ from slbench.patterns.decode import MIN_MODULATION_DN, PhaseMap, decode
 from slbench.patterns.flat import Flat
 from slbench.patterns.fringes import Fringes
 from slbench.patterns.fringes.ways import closest_rival
+from slbench.patterns.fringes.wrong_orders import order_error_probability
 from slbench.patterns.gray import GrayCode
 from slbench.patterns.matching import MatchedCode
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.panel import panel_response
 from slbench.patterns.phase import (
-    order_error_probability,
     relative_phase,
     unwrap,
     unwrap_spatially,

@@ -20,7 +20,7 @@ shot noise), the sum of var_k sin^2 over the shifts gives
 
 shot noise leaves a third harmonic with three shifts and none with more.  The panel
 coordinate is u = Phi W / (2 pi n) - 1/2, its standard deviation W / (2 pi n) times that of
-the phase, provided that the fringe order is right (:func:`order_error_probability`).
+the phase, provided that the fringe order is right (:mod:`slbench.patterns.fringes.wrong_orders`).
 
 Noise never lessens a modulation on average.  2 C / N and 2 S / N have noise of a variance
 2 v / N each, v being the mean variance of the frames, so that the measured b_hat is Rice
@@ -35,8 +35,8 @@ limit m with the probability exp(-N m^2 / 4), 0.0012 for m = 3 and N = 3
 (:func:`false_modulation_probability`).
 """
 
-from math import exp, pi, sqrt
-from typing import Any, overload
+from math import exp, pi
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -234,47 +234,3 @@ def unwrap_spatially(phase: ArrayLike, mask: ArrayLike | None = None) -> FloatAr
     )
     found = np.ma.getdata(unwrap_phase(framed, rng=0))[1:-1, 1:-1]
     return np.where(valid, found, np.nan)
-
-
-@overload
-def order_error_probability(
-    sigma_reference: float, sigma: float, reference_fringes: float, fringes: float
-) -> float: ...
-@overload
-def order_error_probability(
-    sigma_reference: ArrayLike, sigma: ArrayLike, reference_fringes: float, fringes: float
-) -> FloatArray | float: ...
-def order_error_probability(
-    sigma_reference: ArrayLike, sigma: ArrayLike, reference_fringes: float, fringes: float
-) -> FloatArray | float:
-    """Return the probability that one unwrapping step picks a wrong fringe order.
-
-    With Gaussian noise on both phases the order is wrong when an error of variance
-    s^2 = (m / n sigma_ref)^2 + sigma^2 exceeds pi: P = erfc(pi / (sqrt(2) s)).
-
-    Parameters
-    ----------
-    sigma_reference, sigma : float or array_like
-        Standard deviations in radians of the reference's absolute phase and of the relative
-        phase that is unwrapped; arrays broadcast.
-    reference_fringes, fringes : float
-        Fringe counts n of the reference and m of the set that is unwrapped.
-
-    Raises
-    ------
-    InputError
-        For negative deviations or fringe counts that are not positive.
-    """
-    from scipy.special import erfc
-
-    deviations = np.asarray(sigma_reference, np.float64), np.asarray(sigma, np.float64)
-    for name, value in zip(("sigma_reference", "sigma"), deviations, strict=True):
-        if not np.all(value >= 0.0):
-            raise InputError(f"order_error_probability: {name}", "a number >= 0", value)
-    for name, count in (("reference_fringes", reference_fringes), ("fringes", fringes)):
-        if not count > 0.0:
-            raise InputError(f"order_error_probability: {name}", "a number > 0", count)
-    s = np.hypot(fringes / reference_fringes * deviations[0], deviations[1])
-    with np.errstate(divide="ignore"):  # no noise: infinitely many deviations away
-        probability = erfc(pi / (sqrt(2.0) * s))
-    return float(probability) if probability.ndim == 0 else probability

@@ -182,7 +182,7 @@ def test_order_error_probability_against_sampling_of_unwrap():
     reference = rng.normal(1.0, 0.1, n)
     phi = np.mod(10.0 + rng.normal(0, 0.2, n), 2 * np.pi)
     wrong = np.sum(np.abs(unwrap(phi, 20, reference, 2) - 10.0) > np.pi)
-    rate = order_error_probability(0.1, 0.2, 2, 20)
+    rate = order_error_probability(0.1, 0.2, 2, 20, "gaussian")
     assert stats.binomtest(int(wrong), n, rate).pvalue > 1e-4  # false-alarm rate 1e-4
     assert order_error_probability(0.0, 0.0, 1, 10) == 0.0
 

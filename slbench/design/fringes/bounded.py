@@ -161,7 +161,8 @@ def _safe_steps(
     for j, n in enumerate(options):
         danger = np.full((j, len(shifts), len(shifts), len(noise.z_mm)), np.inf)
         for i in range(j):
-            wrong = order_error_probability(sigma[i, :, np.newaxis], sigma[j], options[i], n)
+            before = sigma[i, :, np.newaxis]
+            wrong = order_error_probability(before, sigma[j], options[i], n, "gaussian")
             with np.errstate(divide="ignore"):
                 danger[i] = -np.log1p(-np.asarray(wrong))
         for k, own in enumerate(shifts):

@@ -89,7 +89,7 @@ def unwrapping_chain(counts: Sequence[int], sigma: Array) -> tuple[Array, Array]
             told = np.hypot(ratio * rest, own)
             carried = _growth(ratio, np.zeros_like(spread), spread) * carried
             carried += _growth(ratio, ratio * shift, told) * fresh
-        wrong[k] = order_error_probability(reference, own, before, n)
+        wrong[k] = order_error_probability(reference, own, before, n, "gaussian")
         step = absolute_sigma(n, reference / before, own) ** 2
         variance[k] = np.maximum(carried + step, 0.0)
         fresh = (turn / n) ** 2 * _mean_square_order(np.zeros_like(spread), spread / turn)

@@ -376,7 +376,7 @@ def test_shifts_of_their_own_for_every_set():
     assert wrong > 1e-3
     assert design.sigma_rad == pytest.approx(found, rel=N_SIGMA * error)
     for k, (before, n) in enumerate(((1, 8), (8, 40))):
-        expected = order_error_probability(sigma[k], sigma[k + 1], before, n)
+        expected = order_error_probability(sigma[k], sigma[k + 1], before, n, "gaussian")
         assert design.steps[k].order_error_probability == pytest.approx(expected, rel=1e-12)
     everywhere = predict(400, noise, (1, 8, 40), 12)
     assert everywhere.shifts == (12, 12, 12)

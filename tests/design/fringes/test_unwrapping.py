@@ -257,12 +257,12 @@ def test_simulation_is_reproducible_and_shares_its_noise_between_levels():
 
 def test_order_error_probability_broadcasts_and_is_the_sums():
     rows, columns = np.array([[0.02], [0.1], [0.4]]), np.array([0.05, 0.5])
-    found = order_error_probability(rows, columns, 2, 20)
+    found = order_error_probability(rows, columns, 2, 20, "gaussian")
     assert found.shape == (3, 2)
     for i, j in np.ndindex(3, 2):
         _, _, wrong = reference_moments(10, rows[i, 0], columns[j])
         assert found[i, j] == pytest.approx(wrong, rel=1e-9, abs=1e-30)
-        single = order_error_probability(float(rows[i, 0]), float(columns[j]), 2, 20)
+        single = order_error_probability(float(rows[i, 0]), float(columns[j]), 2, 20, "gaussian")
         assert isinstance(single, float)
         assert single == found[i, j]
     np.testing.assert_array_equal(order_error_probability([0.0, np.inf], 0.0, 1, 2), [0.0, 1.0])
