@@ -4,9 +4,11 @@ A simulation has them: the scene through pinholes (:mod:`slbench.simulate.sharp`
 
 Intensities are compared over all patterns, phases over the finest fringe set; both for the
 fused frames and for the single middle setting, inside and outside that setting's depth of
-field.  A pixel is inside where the circles of confusion of both devices together, in periods of
-the finest fringes, are below ``BLUR``: there the fringes keep 81 % of their modulation or more,
-as 2 J1(x) / x with x = pi BLUR is 0.81 for a blur disc of that diameter.
+field.  A pixel is inside where defocus leaves the finest fringes ``KEPT`` of the modulation that
+they have in focus, 82 %: for a lens without diffraction and blur, where 2 J1(x) / x is that for a
+circle of confusion of 0.4 periods.  Diffraction forgives more of it
+(:mod:`slbench.rig.spread`), and fringes beyond a lens's cut-off are nowhere inside.  The shares of
+a circle in that limit add up in quadrature for camera and projector, as losses that are small do.
 """
 
 from __future__ import annotations
@@ -22,12 +24,17 @@ from slbench.capture.stack import FocusStack, FusedCapture
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.patterns import Axis
+from slbench.rig.spread import Spread
 from slbench.scene.truth import GroundTruth
 
 Array = NDArray[np.float64]
 
-#: Circle of confusion that ends the depth of field, periods of the finest fringes.
-BLUR = 0.4
+#: Share of their modulation in focus that fringes keep at the end of the depth of field.
+KEPT = 0.81516
+#: Frequencies at which the largest circle of confusion is found, and halvings that find it.
+_FREQUENCIES, _HALVINGS = 33, 30
+#: Slower fringes than one in so many pixels are as good as those; what is fainter in focus is lost.
+_LEAST_FREQUENCY, _LEAST_CONTRAST = 1e-4, 1e-3
 
 
 @dataclass(frozen=True)
@@ -95,8 +102,10 @@ def score_fusion(
     fringes, (axis,) = finest.code.fringe_count(sequence.panel), finest.code.axes
     assert fringes is not None  # by finest
     smooth = truth.smooth()
-    blur = _blur(truth, axis, fringes, sequence.size(axis))
-    places = {"inside": smooth & (blur <= BLUR), "outside": smooth & (blur > BLUR)}
+    rig = stack.captures[len(stack) // 2].rig
+    spreads = (Spread(), Spread()) if rig is None else (rig.camera.spread, rig.projector.spread)
+    share = _share(truth, axis, fringes / sequence.size(axis), *spreads)
+    places = {"inside": smooth & (share <= 1.0), "outside": smooth & (share > 1.0)}
 
     middle = len(stack) // 2
     squares = {name: np.zeros(smooth.shape) for name in ("fused", "middle")}
@@ -131,9 +140,47 @@ def _sharpness(square: Array, off: Array) -> Sharpness:
     )
 
 
-def _blur(truth: GroundTruth, axis: Axis, fringes: float, size: int) -> Array:
-    """Circles of confusion of both devices together, in periods of the fringes, (V, U)."""
+def _share(
+    truth: GroundTruth, axis: Axis, cycles_per_px: float, camera: Spread, projector: Spread
+) -> Array:
+    """Circles of confusion of both devices together, in what ends the depth of field, (V, U)."""
     coordinate = truth.panel[..., "uv".index(axis)]
     with np.errstate(invalid="ignore"):
         slope = np.hypot(*np.gradient(coordinate))  # panel pixels a camera pixel
-        return np.hypot(truth.projector_coc, slope * truth.camera_coc) * fringes / size
+    shown = truth.projector_coc / largest_circle(projector, np.array(cycles_per_px))
+    seen = truth.camera_coc / largest_circle(camera, slope * cycles_per_px)
+    return np.hypot(shown, seen)
+
+
+def largest_circle(spread: Spread, cycles_per_px: Array) -> Array:
+    """Return the circle of confusion that leaves a sinusoid ``KEPT`` of its contrast in focus, px.
+
+    Parameters
+    ----------
+    spread : Spread
+    cycles_per_px : float array
+        Frequencies; NaN where there are none.
+
+    Returns
+    -------
+    float array of the same shape
+        Diameters; 1e-12, which nothing is below, where the lens passes no such frequency.
+    """
+    frequency = np.maximum(np.abs(cycles_per_px), _LEAST_FREQUENCY)
+    known = frequency[np.isfinite(frequency)]
+    if not known.size:
+        return np.full(frequency.shape, np.nan)
+    nodes = np.geomspace(known.min(), known.max() * (1.0 + 1e-9), _FREQUENCIES)
+    wanted = KEPT * spread.contrast(nodes)
+    passed = wanted > _LEAST_CONTRAST
+    low, high = np.zeros(nodes.size), 0.4 / nodes
+    while np.any(short := (spread.contrast(nodes, high) > wanted) & passed):
+        high = np.where(short, 2.0 * high, high)
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        kept = spread.contrast(nodes, middle) > wanted
+        low, high = np.where(kept, middle, low), np.where(kept, high, middle)
+    # In periods the circle changes little with the frequency.
+    periods = np.interp(np.log(frequency), np.log(nodes), np.where(passed, high * nodes, 0.0))
+    result: Array = np.maximum(periods / frequency, 1e-12)
+    return result
