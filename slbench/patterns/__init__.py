@@ -4,7 +4,7 @@ A *code* is a part of a sequence (:mod:`slbench.patterns.base` says what it is);
 that exist are in :data:`pattern_codes`.
 """
 
-from slbench.patterns.base import Axis, Code, Found, Observed, Panel, Placed, Run, Variation
+from slbench.patterns.base import Axis, Code, Found, Observed, Panel, Placed, Rule, Run, Variation
 from slbench.patterns.decode import MIN_MODULATION_DN, PhaseMap, decode
 from slbench.patterns.flat import Flat
 from slbench.patterns.fringes import Fringes
@@ -38,6 +38,7 @@ __all__ = [
     "PatternSequence",
     "PhaseMap",
     "Placed",
+    "Rule",
     "Run",
     "Variation",
     "closest_rival",

@@ -61,6 +61,7 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import IntEnum
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
@@ -81,6 +82,30 @@ Variation = Literal["u", "v", "uv"]
 Panel = tuple[int, int]
 #: What tells fringes apart (:mod:`slbench.patterns.fringes.ways`).
 Unwrap = Literal["auto", "sequential", "gray", "heterodyne", "number-theoretic", "spatial", "none"]
+
+
+class Rule(IntEnum):
+    """By which rule a pixel has no coordinate; the least of those that apply, as it is the cause.
+
+    A pixel without light has undecided bits and a random fringe order too.
+    """
+
+    KEPT = 0
+    """It has one."""
+    SATURATED = 1
+    """A frame that must not is saturated, or not a number."""
+    MODULATION = 2
+    """Fringes, or all bits of a Gray code, below the least modulation or its ratio to noise."""
+    BIT = 3
+    """Bits of a coarse code are undecided, or its place is not known to a fringe."""
+    ORDER = 4
+    """The fringe order is further off a whole number than is believed."""
+    END = 5
+    """Beyond the panel, or at one of its ends that cannot be told from the other."""
+    RELATIVE = 6
+    """Nothing is wrong, but only relative phases were asked for."""
+    OTHER = 7
+    """A code's own rule."""
 
 
 def extent(panel: Panel, axis: Axis) -> int:
@@ -383,6 +408,9 @@ class Found:
         Relative phase in [0, 2 pi) of every fringe set of the run, if wanted.
     evidence : mapping of part index to mapping of name to (..., P) float32 or float64
         By what a user may judge the coordinate, if wanted.
+    dropped : (P,) uint8, optional
+        By which :class:`Rule` a pixel is masked out, if evidence is wanted and the code says so;
+        of a saturated pixel in ``run.searched`` the decoder says it.
     """
 
     coordinate: FloatArray
@@ -393,6 +421,7 @@ class Found:
     complete: bool = False
     relative: tuple[tuple[float, FloatArray], ...] = ()
     evidence: Mapping[int, Mapping[str, AnyFloatArray]] = field(default_factory=dict)
+    dropped: NDArray[np.uint8] | None = None
 
     __repr__ = brief
 

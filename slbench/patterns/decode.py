@@ -7,7 +7,7 @@ here: checked frames, the search for saturated pixels, one mask over all axes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, share
 from slbench.core.show.drawing import figure
-from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observed
+from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observed, Rule
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
 
@@ -55,6 +55,8 @@ class PhaseMap:
         root mean square of what a sinusoid leaves of them, over N - 3 degrees of freedom, DN,
         float32; it measures the noise.  Gray codes have ``bit_contrast`` (bits, V, U): half the
         difference between lit and unlit of every bit, in DN, float64.
+    dropped : (V, U) uint8, optional
+        By which :class:`slbench.patterns.Rule` a pixel has no coordinate; there with the evidence.
     """
 
     coordinate: dict[Axis, FloatArray]
@@ -64,6 +66,7 @@ class PhaseMap:
     mask: NDArray[np.bool_]
     relative: dict[Axis, list[tuple[float, FloatArray]]]
     evidence: dict[int, dict[str, AnyFloatArray]] = field(default_factory=dict)
+    dropped: NDArray[np.uint8] | None = None
 
     def __repr__(self) -> str:
         rows, columns = self.mask.shape
@@ -131,7 +134,7 @@ def decode(
     keep_relative : bool
         Keep the relative phases too.
     keep_evidence : bool
-        Keep the evidence too.
+        Keep the evidence too, and by which rule pixels are dropped.
 
     Returns
     -------
@@ -211,7 +214,27 @@ def decode(
         mask=mask.reshape(shape),
         relative=relative,
         evidence=evidence,
+        dropped=_dropped(results, searched, mask, observed).reshape(shape)
+        if keep_evidence
+        else None,
     )
+
+
+def _dropped(
+    results: Mapping[Axis, Found],
+    searched: Sequence[int],
+    mask: NDArray[np.bool_],
+    observed: Observed,
+) -> NDArray[np.uint8]:
+    """Return by which rule a pixel is masked out of the whole, (P,): the first of any axis."""
+    first = np.where(mask, np.uint8(Rule.KEPT), np.uint8(Rule.OTHER))
+    for one in results.values():
+        if one.dropped is not None:
+            first = np.where(one.dropped == Rule.KEPT, first, np.minimum(first, one.dropped))
+    for k in searched:
+        first[~(observed.pixels[k] < observed.saturation)] = Rule.SATURATED
+    first[mask] = Rule.KEPT
+    return first
 
 
 def _shared_mask(

@@ -22,6 +22,7 @@ from slbench.patterns.base import (
     Observed,
     Panel,
     Placed,
+    Rule,
     Run,
     extent,
 )
@@ -228,10 +229,11 @@ class GrayCode(Code):
             n_pixels,
             LEAST,
         )
-        evidence = {}
+        evidence, dropped = {}, None
         if observed.keep_evidence:
             contrasts = _bit_contrast(observed, placed, inverse, threshold)
             evidence = {placed.index: {"bit_contrast": contrasts}}
+            dropped = _dropped(observed, placed, contrasts, place, mean, mask)
         sigma: FloatArray = np.broadcast_to(np.float64(width / sqrt(12.0)), place.shape)
         if used.min(initial=len(reflected)) < len(reflected):
             sigma = sigma * 2.0 ** (len(reflected) - used.astype(np.float64))
@@ -243,8 +245,31 @@ class GrayCode(Code):
                 mean=mean,
                 mask=mask,
                 evidence=evidence,
+                dropped=dropped,
             )
         }
+
+
+def _dropped(
+    observed: Observed,
+    placed: Placed,
+    contrasts: FloatArray,
+    place: FloatArray,
+    mean: NDArray[np.float32],
+    mask: NDArray[np.bool_],
+) -> NDArray[np.uint8]:
+    """Return by which rule pixels are masked out, (P,)."""
+    frames = observed.pixels[placed.frames.start : placed.frames.stop]
+    step = 2 if cast(GrayCode, placed.code).inverse else 1
+    strongest = np.nan_to_num(contrasts).max(axis=0)
+    variance = observed.noise.variance(mean.astype(np.float64))
+    dim = strongest**2 < np.maximum(observed.min_modulation**2, observed.min_snr**2 * variance)
+    full = ~(frames < observed.saturation)
+    both = full[0::2] & full[1::2] if step == 2 else full.all(axis=0, keepdims=True)
+    lit = both.any(axis=0)  # a bit whose two states are one
+    rules = [Rule.SATURATED, Rule.MODULATION, Rule.END]
+    found = np.select([mask, lit, dim, np.isnan(place)], [Rule.KEPT, *rules], Rule.BIT)
+    return found.astype(np.uint8)
 
 
 def _threshold(observed: Observed, placed: Placed) -> FloatArray:

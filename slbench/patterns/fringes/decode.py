@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.threads import in_bands
-from slbench.patterns.base import AnyFloatArray, FloatArray, Found, Observed, Run, extent
+from slbench.patterns.base import AnyFloatArray, FloatArray, Found, Observed, Rule, Run, extent
 from slbench.patterns.fringes.ways import Way, chosen_way
 from slbench.patterns.fringes.weights import fit_weights, noise_forms, set_weights, tilts
 from slbench.patterns.phase import unwrap_spatially
@@ -100,7 +100,8 @@ def decode_sets(
     keep_relative = observed.keep_relative or way.name == "none"
     relative = np.empty((n_sets, n_pixels if keep_relative else 0))
     residual = np.empty((n_sets, n_pixels if observed.keep_evidence else 0), np.float32)
-    written = (coordinate, sigma, modulation, mean, mask, relative, residual)
+    dropped = np.empty(n_pixels if observed.keep_evidence else 0, np.uint8)
+    written = (coordinate, sigma, modulation, mean, mask, relative, residual, dropped)
     frames = by_type(pixels)
     in_bands(
         lambda first, last: decode_fringes(*frames, *given, *written, first, last),
@@ -111,6 +112,9 @@ def decode_sets(
     if observed.keep_evidence:
         for s in _unwrapped(way):
             evidence[placed[s].index] = {"order_residual": residual[s]}
+        if coarser is not None and coarser.dropped is not None and way.name == "gray":
+            lost = (dropped == Rule.ORDER) & (coarser.dropped != Rule.KEPT)
+            dropped[lost] = coarser.dropped[lost]
         for one, own in zip(placed, steps, strict=True):
             if len(own) > _EXACT:
                 left = np.empty(n_pixels, np.float32)
@@ -122,6 +126,7 @@ def decode_sets(
     if way.name == "none":  # where the result would be masked, the relative phases are
         relative[:, ~mask] = np.nan
         coordinate[:], sigma[:], mask[:] = np.nan, np.nan, False
+        dropped[dropped == Rule.KEPT] = Rule.RELATIVE
     kept = sorted(range(n_sets), key=lambda s: way.order[s]) if keep_relative else ()
     return Found(
         coordinate=coordinate,
@@ -132,6 +137,7 @@ def decode_sets(
         complete=True,
         relative=tuple((way.counts[s], relative[s]) for s in kept),
         evidence=evidence,
+        dropped=dropped if observed.keep_evidence else None,
     )
 
 

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import boolean, float32, float64, int64, njit, void
+from numba import boolean, float32, float64, int64, njit, uint8, void
 
 from slbench.patterns.kernels.blocks import BLOCK, FAST, FRAMES, PAD
 
@@ -17,6 +17,8 @@ END_SIGMAS = 3.0
 
 TWO_PI = 2.0 * math.pi
 ROOT_3 = math.sqrt(3.0)
+# Faults are counted by rule in one number, exact up to 2^53: less than 2^10 of each.
+_SATURATED, _DIM, _COARSE, _ORDER, _END = 1.0, 2.0**10, 2.0**20, 2.0**30, 2.0**40
 # Noise puts a pixel beyond the end of the panel by no more than this, finest fringes.
 _BEYOND = 0.25
 
@@ -137,7 +139,7 @@ def _unwrap(
         off[i] = exact - order
         absolute[i] = TWO_PI * order + link[i]
     for i in range(n):
-        faults[i] += 0.0 if abs(off[i]) <= limit + slack[i] else 1.0
+        faults[i] += 0.0 if abs(off[i]) <= limit + slack[i] else _ORDER
 
 
 @njit(fastmath=FAST, error_model="numpy", no_cpython_wrapper=True)
@@ -177,7 +179,22 @@ def _search(
             order[i] = k if better else order[i]
     for i in range(n):
         absolute[i] = phases[last, i] + TWO_PI * order[i]
-        faults[i] += 0.0 if (best[i] <= limit * limit) & (best[i] < np.inf) else 1.0
+        faults[i] += 0.0 if (best[i] <= limit * limit) & (best[i] < np.inf) else _ORDER
+
+
+@njit
+def _first_rule(faults: int) -> int:
+    """Return the first rule (1 to 5, 0 for none) of which faults were counted."""
+    # A pixel without light has a random order too: what comes first is the cause.
+    if faults & 0x3FF:
+        return 1
+    if faults & (0x3FF << 10):
+        return 2
+    if faults & (0x3FF << 20):
+        return 3
+    if faults & (0x3FF << 30):
+        return 4
+    return 5 if faults >> 40 else 0
 
 
 @njit(
@@ -207,6 +224,7 @@ def _search(
         boolean[::1],
         float64[:, ::1],
         float32[:, ::1],
+        uint8[::1],
         int64,
         int64,
     ),
@@ -241,6 +259,7 @@ def decode_fringes(
     mask: Any,
     relative: Any,
     residual: Any,
+    dropped: Any,
     begin: int,
     end: int,
 ) -> None:
@@ -298,6 +317,8 @@ def decode_fringes(
     residual : (S, P) float32
         Fringe order of every set less the whole number it is rounded to, turns, or shape (S, 0);
         not written for a set whose order is not found.
+    dropped : (P,) uint8
+        By which rule a pixel is masked out (:class:`slbench.patterns.base.Rule`), or shape (0,).
     begin, end : int
     """
     frames8, frames16, frames32, frames64 = frames
@@ -361,7 +382,7 @@ def decode_fringes(
                 square = to_square * (cosine[i] * cosine[i] + sine[i] * sine[i])
                 variance = alpha + beta * max(per_shift * total[i] - offset, 0.0)
                 good = (square >= least_square) & (square >= least_ratio * variance)
-                faults[i] += 0.0 if good else 1.0
+                faults[i] += 0.0 if good else _DIM
             if unsure and factors[0, s] != 0.0:
                 weight = factors[0, s] * factors[0, s] * 2.0 / shifts
                 for i in range(n):
@@ -403,7 +424,7 @@ def decode_fringes(
                     for i in range(n):
                         end_distance = min(absolute[i], TWO_PI * links[0] - absolute[i])
                         margin = END_SIGMAS * math.sqrt(spread[i]) - gap * math.pi
-                        faults[i] += 0.0 if end_distance >= margin else 1.0
+                        faults[i] += 0.0 if end_distance >= margin else _END
                 continue
             ratio = links[t]
             for i in range(n):
@@ -419,7 +440,7 @@ def decode_fringes(
                     # where it is no wider than one.
                     known = reference_sigma[0 if one_for_all else start + i]
                     slack[i] = ROOT_3 * known * ratio / size
-                    faults[i] += 0.0 if slack[i] <= 0.5 + 1e-9 else 1.0
+                    faults[i] += 0.0 if slack[i] <= 0.5 + 1e-9 else _COARSE
             if compares[t]:
                 for i in range(n):
                     phase[i] = absolute[i]
@@ -464,13 +485,13 @@ def decode_fringes(
             for i in range(n):
                 margin = END_SIGMAS * phase[i]
                 within = (absolute[i] >= margin) & (size - absolute[i] >= margin)
-                faults[i] += 0.0 if within & (sine[i] < np.inf) else 1.0
+                faults[i] += 0.0 if within & (sine[i] < np.inf) else _END
         else:
             # A place beyond the panel is a wrong order, but a coarser code's own affair.
             beyond = TWO_PI * _BEYOND * to_pixels if alone else np.inf
             for i in range(n):
                 within = (absolute[i] >= -beyond) & (absolute[i] <= size + beyond)
-                faults[i] += 0.0 if within & (sine[i] < np.inf) else 1.0
+                faults[i] += 0.0 if within & (sine[i] < np.inf) else _END
         # An output a loop: more of them, and the compiler would give up telling them apart.
         for i in range(n):
             coordinate[start + i] = absolute[i] - 0.5 if faults[i] == 0.0 else np.nan
@@ -482,6 +503,9 @@ def decode_fringes(
             mean[start + i] = total[i]
         for i in range(n):
             mask[start + i] = faults[i] == 0.0
+        if dropped.shape[0] > 0:
+            for i in range(n):
+                dropped[start + i] = _first_rule(np.int64(faults[i]))
 
 
 @njit(fastmath=FAST, error_model="numpy", no_cpython_wrapper=True)
