@@ -19,12 +19,12 @@ from numba import njit
 from slbench.patterns.kernels.blocks import FAST
 
 #: Pixels of a block: its scores at a thousand places are 128 kB.
-BLOCK = 32
+BLOCK = 64
 #: Places beside the best that are of the same peak whatever their scores: a pixel may see both.
 NEAR = 2
 
 
-@njit(cache=True, nogil=True, fastmath=FAST)
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def search(
     pixels: Any, basis: Any, first: Any, last: Any, best: Any, energy: Any, rival: Any,
     start: int, stop: int,
@@ -48,8 +48,10 @@ def search(
     scores = np.empty((places, BLOCK), np.float32)
     block = np.empty((n_frames, BLOCK), np.float32)
     sums = np.empty(BLOCK, np.float32)
-    top, where = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.int32)
-    left, right = np.empty(BLOCK, np.int32), np.empty(BLOCK, np.int32)
+    # Places are single numbers too, which lie side by side with scores in the registers.
+    top, where = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    left, right = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    zero = np.float32(0.0)
     second = np.empty(BLOCK, np.float32)
     for begin in range(start, stop, BLOCK):
         size = min(BLOCK, stop - begin)
@@ -64,10 +66,12 @@ def search(
                 block[k, b] = pixels[k, begin + b] - mean
             low = min(low, first[begin + b])
             high = max(high, last[begin + b] + 1)
-        top[:] = -1.0
-        where[:] = low
+        narrow = low > 0 or high < places
+        for b in range(size):
+            narrow |= first[begin + b] > low or last[begin + b] < high - 1
+        for b in range(BLOCK):
+            top[b], where[b] = -1.0, low
         for x in range(low, high):
-            row = scores[x]
             for j in range(vectors):
                 factor = basis[x, j, 0]
                 for b in range(BLOCK):
@@ -76,40 +80,39 @@ def search(
                     factor = basis[x, j, k]
                     for b in range(BLOCK):
                         sums[b] += factor * block[k, b]
-                if j == 0:
-                    for b in range(BLOCK):
-                        part = max(sums[b], np.float32(0.0))
-                        row[b] = part * part
-                else:
-                    for b in range(BLOCK):
-                        part = max(sums[b], np.float32(0.0))
-                        row[b] += part * part
-            if low > 0 or high < places:
+                for b in range(BLOCK):
+                    part = sums[b]
+                    part = part if part > zero else zero
+                    before = scores[x, b] if j > 0 else zero
+                    scores[x, b] = before + part * part
+            if narrow:
                 for b in range(size):
                     if x < first[begin + b] or x > last[begin + b]:
-                        row[b] = -1.0
+                        scores[x, b] = -1.0
+            here = np.float32(x)
             for b in range(BLOCK):
-                value = row[b]
-                better = value > top[b]
-                top[b] = value if better else top[b]
-                where[b] = x if better else where[b]
+                value, highest, place = scores[x, b], top[b], where[b]
+                where[b] = here if value > highest else place
+                top[b] = value if value > highest else highest
         for b in range(BLOCK):
-            x = where[b]
+            centre = int(where[b])
+            x = centre
             while x > low and scores[x - 1, b] <= scores[x, b]:
                 x -= 1
-            left[b] = min(x, where[b] - NEAR)
-            x = where[b]
+            left[b] = min(x, centre - NEAR)
+            x = centre
             while x < high - 1 and scores[x + 1, b] <= scores[x, b]:
                 x += 1
-            right[b] = max(x, where[b] + NEAR)
-        second[:] = 0.0
+            right[b] = max(x, centre + NEAR)
+            second[b] = 0.0
         for x in range(low, high):
-            row = scores[x]
+            here = np.float32(x)
             for b in range(BLOCK):
-                value = row[b] if (x < left[b] or x > right[b]) else np.float32(0.0)
-                second[b] = max(second[b], value)
+                value, highest = scores[x, b], second[b]
+                other = (here < left[b]) | (here > right[b])
+                second[b] = value if other & (value > highest) else highest
         for b in range(size):
-            best[begin + b] = where[b]
+            best[begin + b] = int(where[b])
             energy[begin + b] = top[b]
             rival[begin + b] = second[b]
 
