@@ -343,6 +343,7 @@ def _result(
         std_z_ci95_mm=interval["std_z"],
         predicted_mm=float(np.median(found.predicted_mm[common])),
         std_over_predicted=_std_over_predicted(found, common),
+        bound_mm=found.bound_over_predicted * float(np.median(found.predicted_mm[common])),
         error_median_mm=medians[one.name, "error"],
         error_ci95_mm=interval["error"],
         floor_median_mm=_median(found.floor_mm[common]),

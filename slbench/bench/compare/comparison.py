@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -65,6 +66,9 @@ class SetResult:
         Median of the standard deviation that the decoder predicted.
     std_over_predicted : float
         RMS over the pixels of the ratio of both: 1 where the detector's noise is all there is.
+    bound_mm : float
+        Cramer-Rao bound of the same (:mod:`slbench.patterns.matching.bound`): what no decoder of
+        these frames can fall below; NaN where there is none.
     error_median_mm, error_ci95_mm : float, (float, float)
         RMS distance of a point from the truth over the repeats: median over the pixels.
     floor_median_mm, monte_carlo_median_mm : float
@@ -101,6 +105,7 @@ class SetResult:
     std_z_ci95_mm: tuple[float, float]
     predicted_mm: float
     std_over_predicted: float
+    bound_mm: float
     error_median_mm: float
     error_ci95_mm: tuple[float, float]
     floor_median_mm: float
@@ -118,6 +123,11 @@ class SetResult:
 
     __repr__ = brief
 
+    @property
+    def bound_share(self) -> float:
+        """The bound over the measured deviation: 1 where the decoder uses all that frames carry."""
+        return self.bound_mm / self.std_median_mm if self.std_median_mm > 0.0 else float("nan")
+
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, without the maps."""
         return {
@@ -131,6 +141,7 @@ class SetResult:
             "std_z_ci95_mm": list(self.std_z_ci95_mm),
             "predicted_mm": self.predicted_mm,
             "std_over_predicted": self.std_over_predicted,
+            "bound_mm": self.bound_mm if isfinite(self.bound_mm) else None,
             "error_median_mm": self.error_median_mm,
             "error_ci95_mm": list(self.error_ci95_mm),
             "floor_median_mm": self.floor_median_mm,

@@ -21,7 +21,8 @@ from slbench.bench.compare.sets import PatternSet
 from slbench.capture.fusion import FusionWeights
 from slbench.capture.stack import WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
-from slbench.patterns import PhaseMap
+from slbench.patterns import NoiseModel, PhaseMap
+from slbench.patterns.matching.bound import cramer_rao
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.features import StepScore, fit_features
@@ -30,6 +31,8 @@ from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
+#: Pixels that stand for all where the bound is computed.
+_BOUND_PIXELS = 2000
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,9 @@ class Repeats:
     floor_mm, sampling_mm : (P,) float
         Distance from the truth without noise, and from what half of the samples would give
         (:mod:`slbench.simulate.floors`); NaN where it is not known.
+    bound_over_predicted : float
+        Cramer-Rao bound over the decoder's predicted deviation, median over the pixels; NaN where
+        there is no bound (a Gray code alone, a focus stack).
     order_error_rate, completeness, seconds : float
     exposure_s : float
     steps : tuple of Step
@@ -66,6 +72,7 @@ class Repeats:
     square_mm2: Array
     floor_mm: Array
     sampling_mm: Array
+    bound_over_predicted: float
     order_error_rate: float
     completeness: float
     seconds: float
@@ -117,6 +124,7 @@ def scan_repeats(
     heights: list[dict[tuple[int, str], StepScore]] = []
     stages = dict.fromkeys(("capture", "decode", "reconstruct", "sum up", "floor"), 0.0)
     weighed: FusionWeights | None = None
+    bound = float("nan")
     for r in range(repeats):
         clock = [time.perf_counter()]
         own = given.seed(seed, r)
@@ -136,6 +144,8 @@ def scan_repeats(
         sums.add(at, cloud.points[chosen] - true[at], variance)
         wrong += _order_errors(given, phase, truth, flat[chosen])
         lit_points += int(np.count_nonzero(truth.lit.ravel()[flat]))
+        if r == 0 and len(transports) == 1:
+            bound = _bound(given, phase, shots.noise or NoiseModel(), flat[chosen])
         heights.append(_steps(scene, cloud, truth, chosen))
         exposure_s = float("nan") if shots.exposure_s is None else shots.exposure_s
         clock.append(time.perf_counter())
@@ -159,6 +169,7 @@ def scan_repeats(
         sums.square,
         floor,
         sampling,
+        bound,
         wrong / measured if measured else float("nan"),
         lit_points / (repeats * lit) if lit else float("nan"),
         float(np.median(times)),
@@ -166,6 +177,24 @@ def scan_repeats(
         _over_repeats(heights),
         stages,
     )
+
+
+def _bound(given: PatternSet, phase: PhaseMap, noise: NoiseModel, flat: NDArray[np.intp]) -> float:
+    """Return the Cramer-Rao bound over the predicted deviation, median over pixels (flat)."""
+    axis = given.sequence.axes[0]
+    if given.sequence.variations != given.sequence.axes or not len(flat):
+        return float("nan")
+    some = flat[:: -(-len(flat) // _BOUND_PIXELS)]
+    bound = cramer_rao(
+        given.sequence,
+        modulation=phase.modulation.ravel()[some],
+        mean=phase.mean.ravel()[some],
+        noise=noise,
+        axis=axis,
+        coordinate=phase.coordinate[axis].ravel()[some],
+    )
+    ratio = float(np.median(bound / phase.sigma[axis].ravel()[some]))
+    return ratio if np.isfinite(ratio) else float("nan")
 
 
 def _floors(

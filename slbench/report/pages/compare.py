@@ -83,6 +83,7 @@ def _sets(comparison: Comparison) -> Table:
         f"std / {std.name}",
         "95 %",
         "std / predicted",
+        "of bound / %",
         *(f"{name} / {error.name}" for name in ("error", "floor", "sampling", "bias", "RMS")),
         "order errors",
         "complete / %",
@@ -94,6 +95,7 @@ def _sets(comparison: Comparison) -> Table:
             std.per_mm * one.std_median_mm,
             _interval(one.std_ci95_mm, std.per_mm),
             one.std_over_predicted,
+            100.0 * one.bound_share,
             error.per_mm * one.error_median_mm,
             error.per_mm * one.floor_median_mm,
             error.per_mm * one.monte_carlo_median_mm,
@@ -110,7 +112,9 @@ def _sets(comparison: Comparison) -> Table:
         f"{comparison.repeats} repeats{equal}; {comparison.pixels} pixels, {share:.1f} % of the "
         "lit ones. std: over the repeats, of the point, median over the pixels. "
         "std / predicted: RMS ratio to what the decoder predicts from the detector's noise, 1 if "
-        "that is all. error: RMS distance from the truth, median over the pixels; floor: the same "
+        "that is all. of bound: the Cramer-Rao bound, which no decoder of these frames can fall "
+        "below, over std. "
+        "error: RMS distance from the truth, median over the pixels; floor: the same "
         "without noise; sampling: the part of the floor that more samples take away; RMS over all "
         "pixels. Order errors and completeness: of all that was measured, of all that is lit. "
         + verdict(comparison)

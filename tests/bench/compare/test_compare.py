@@ -549,6 +549,19 @@ class TestResults:
         assert parameters["samples"] == 16
         assert parameters["sets"]["gray"]["parts"][0]["kind"] == "gray"
 
+    def test_the_bound_stands_beside_what_was_measured(self):
+        comparison = small_comparison(THREE)
+        for counts in ((1, 10, 50), (1, 2, 4)):
+            one = comparison[",".join(map(str, counts))]
+            # Sequential unwrapping takes the place from the last set alone; the bound takes it from
+            # all of them, as if all had its modulation, and frames weighted by their own noise.
+            share = counts[-1] / np.sqrt(np.sum(np.square(counts)))
+            # The weights gain up to a tenth where the sets are of like fineness.
+            assert 0.9 * share < one.bound_mm / one.predicted_mm < 1.01 * share
+            assert one.bound_share == one.bound_mm / one.std_median_mm
+        assert np.isnan(comparison["gray"].bound_share)
+        assert comparison["gray"].to_dict()["bound_mm"] is None
+
     def test_page_has_the_cloud_of_the_best_set(self):
         comparison = small_comparison(("1,2,4", "1,10", "1,10,50"))
         page = comparison_page(comparison)

@@ -1,0 +1,139 @@
+r"""The Cramer-Rao bound of a pattern set: the least deviation that any decoder can have.
+
+The frames of a pixel at place x are ``I_k = a + 2 b (c_k(x) - 1/2)`` with mean a, modulation b and
+independent Gaussian noise of variance ``s_k^2``.  The Fisher information of x, gain and offset
+unknown, is what is left of the derivative ``I'_k / s_k`` once its part in the span of ``c_k / s_k``
+and ``1 / s_k`` is taken away; no unbiased estimate has a smaller variance than its inverse (H.
+Cramer, Mathematical Methods of Statistics, 1946, sec. 32).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slbench.core.errors import InputError
+from slbench.patterns.base import Axis, FloatArray
+from slbench.patterns.matching.vectors import EDGE, CodeVectors, Nuisance, blurred
+from slbench.patterns.noise import NoiseModel
+from slbench.patterns.sequence import PatternSequence
+from slbench.rig.spread import Spread
+
+
+def sequence_vectors(
+    sequence: PatternSequence,
+    axis: Axis,
+    nuisance: Nuisance | None = None,
+    spread: Spread | None = None,
+    circle_px: float = 0.0,
+) -> CodeVectors:
+    """Return what the places along an axis show in all frames that vary along it, or not at all.
+
+    Parameters
+    ----------
+    sequence : PatternSequence
+    axis : {"u", "v"}
+    nuisance : Nuisance, optional
+        One gain and one offset by default.
+    spread : Spread, optional
+        Line spread of the projector, which blurs what is shown.
+    circle_px : float
+        Diameter of its circle of confusion, px.
+
+    Raises
+    ------
+    InputError
+        For an axis along which nothing varies.
+    """
+    frames = [frame for frame in sequence.frames() if frame.along in (axis, None)]
+    if not any(frame.along == axis for frame in frames):
+        raise InputError(
+            "matching: axis", f"an axis that frames of {sequence.name} vary along", axis
+        )
+    size = sequence.size(axis)
+    values = np.array([frame.part.profile(frame.index, size) for frame in frames])
+    if spread is not None:
+        values = blurred(values, spread, circle_px)
+    _, parts = np.unique([frame.part_index for frame in frames], return_inverse=True)
+    return CodeVectors(values, parts.astype(np.int64), nuisance or Nuisance())
+
+
+def cramer_rao(
+    sequence: PatternSequence,
+    *,
+    modulation: ArrayLike,
+    mean: ArrayLike,
+    noise: NoiseModel,
+    axis: Axis | None = None,
+    coordinate: ArrayLike | None = None,
+    nuisance: Nuisance | None = None,
+    spread: Spread | None = None,
+    circle_px: float = 0.0,
+) -> FloatArray:
+    """Return the least standard deviation of a panel coordinate that the frames allow.
+
+    Parameters
+    ----------
+    sequence : PatternSequence
+    modulation, mean : array_like of shape (n,) or ()
+        Half the difference between white and black of a pixel, and their mean, DN.
+    noise : NoiseModel
+        Temporal noise of the frames.
+    axis : {"u", "v"}, optional
+        The first coded one by default.
+    coordinate : (n,) array_like, optional
+        Places, px; the middle of every panel pixel by default.
+    nuisance : Nuisance, optional
+        What is unknown beside the place; one gain and one offset by default.
+    spread : Spread, optional
+        Line spread of the projector, which blurs what is shown.
+    circle_px : float
+        Diameter of its circle of confusion, px.
+
+    Returns
+    -------
+    (n,) float64
+        In px.  Infinite where no frame has a slope: a frame with an edge from one place to the
+        next (a Gray code) tells cells apart, but has no slope within one.
+
+    Raises
+    ------
+    InputError
+        For an axis along which nothing varies.
+    """
+    vectors = sequence_vectors(
+        sequence, axis or (*sequence.axes, "u")[0], nuisance, spread, circle_px
+    )
+    pieces = vectors.pieces()
+    smooth = np.abs(np.diff(vectors.values, axis=1)).max(axis=1) < EDGE
+    places = np.arange(len(pieces) + 1.0) if coordinate is None else np.asarray(coordinate, float)
+    contrast, level = (
+        np.broadcast_to(np.asarray(v, float), places.shape) for v in (modulation, mean)
+    )
+    piece = np.clip(places, 0, len(pieces) - 1).astype(np.intp)
+    t = (places - piece)[:, np.newaxis]
+    a, b, c, d = pieces[piece].transpose(1, 0, 2)
+    shown = a + t * (b + t * (c + t * d))
+    slope = np.where(smooth, b + t * (2.0 * c + t * 3.0 * d), 0.0)
+    middle = 0.5 if vectors.nuisance.gain == "common" else 0.0
+    frames = level[:, np.newaxis] + 2.0 * contrast[:, np.newaxis] * (shown - middle)
+    weight = 1.0 / np.sqrt(noise.variance(frames))
+    gains, offsets = vectors.gains, vectors.offsets
+    spanned = [offsets == k for k in range(offsets.max() + 1)]
+    columns = [np.broadcast_to(one, shown.shape) * weight for one in spanned]
+    columns += [np.where(gains == k, shown, 0.0) * weight for k in range(gains.max() + 1)]
+    left = 2.0 * contrast[:, np.newaxis] * slope * weight
+    found: list[FloatArray] = []
+    for column in columns:
+        whole = np.linalg.norm(column, axis=1, keepdims=True)
+        one = column
+        for before in found:
+            one = one - np.sum(one * before, axis=1, keepdims=True) * before
+        norm = np.linalg.norm(one, axis=1, keepdims=True)
+        # What lies in the span of the others takes nothing more away.
+        found.append(np.divide(one, norm, out=np.zeros_like(one), where=norm > 1e-7 * whole))
+        left = left - np.sum(left * found[-1], axis=1, keepdims=True) * found[-1]
+    information = np.sum(left**2, axis=1)
+    bound = np.full(places.shape, np.inf)
+    np.divide(1.0, np.sqrt(information), out=bound, where=information > 0.0)
+    return bound
