@@ -63,6 +63,8 @@ def noise_free_coordinates(
     scale = np.float32(200.0 / max(float(np.percentile(middle.white(), 99.0)), 1e-30))
     height, width = middle.shape
     rows = max(1, _BAND_BYTES // (4 * width * sequence.n_frames))
+    if sequence.unwrap == "spatial":  # each band would be off by fringes of its own
+        rows = height
     bands: list[dict[Axis, Array]] = []
     for first in range(0, height, rows):
         own = slice(first, first + rows)

@@ -6,6 +6,7 @@ This is the one way from a scene to its captures: ``capture_stack(scene).fuse().
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack
@@ -20,7 +21,7 @@ def with_lit_frame(sequence: PatternSequence) -> PatternSequence:
     """Return the patterns with a fully lit frame first, unless they have one."""
     if sequence.lit_frame is not None:
         return sequence
-    return PatternSequence(sequence.panel, (Flat(1.0), *sequence.parts))
+    return replace(sequence, parts=(Flat(1.0), *sequence.parts))
 
 
 def traced(

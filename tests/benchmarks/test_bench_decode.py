@@ -2,6 +2,7 @@
 
 import time
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,3 +90,30 @@ def test_decode_beside_copying(frames):
         f"\n{moved / 2**20:.0f} MiB: decoded at {moved / decode_s / 1e9:.1f} GB/s, copied at "
         f"{moved / copy_s / 1e9:.1f} GB/s: {100 * copy_s / decode_s:.0f} %"
     )
+
+
+#: Ways of telling fringes apart, each of 16 frames; the first is what the others stand beside.
+WAYS = {
+    "sequential": ("1,16@8", "auto"),
+    "gray": ("gray+16@8", "auto"),
+    "heterodyne": ("15,16@8", "heterodyne"),
+    "number-theoretic": ("15,16@8", "number-theoretic"),
+}
+
+
+def test_decode_by_every_way_of_telling_fringes_apart():
+    times = {}
+    columns = np.linspace(10, 1010, SIDE)
+    for name, (text, way) in WAYS.items():
+        sequence = replace(PatternSequence.parse(text, (1024, 768)), unwrap=way)
+        rows = [np.interp(columns, np.arange(1024), row) for row in sequence.profiles("u")[1]]
+        shown = np.rint(20 + 200 * np.array(rows)).astype(np.uint8)
+        stack = np.repeat(shown[:, np.newaxis], SIDE, axis=1)
+        found = decode(stack, sequence)
+        assert found.mask.mean() > 0.95
+        times[name] = best_of(lambda stack=stack, sequence=sequence: decode(stack, sequence), 7)
+    print()
+    for name, seconds in times.items():
+        print(f"{name}: {1e3 * seconds:.1f} ms, {seconds / times['sequential']:.2f} of sequential")
+    # The search tries 16 orders a pixel; the rest is left for a machine that is busy otherwise.
+    assert times["number-theoretic"] < 8.0 * times["sequential"]

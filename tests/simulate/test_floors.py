@@ -13,6 +13,7 @@ from slbench.capture.focus import Focus
 from slbench.core.errors import InputWarning
 from slbench.design.fringes.trial import noise_of_scene
 from slbench.patterns import NoiseModel, decode
+from slbench.simulate import floors, stack
 from slbench.simulate.floors import (
     floors_px,
     fused_radiance,
@@ -175,3 +176,13 @@ def test_a_result_that_more_samples_would_change_is_questioned_in_one_line():
         lambda: compare(blurred(few), sets, repeats=2, seed=1, question=False)
     )
     assert quiet == []
+
+
+def test_neighbours_resolve_fringes_of_the_whole_picture_and_not_of_its_bands(monkeypatch):
+    light = transport_of("step-block")
+    projector = small("step-block").rig.projector
+    sequence = replace(small("step-block", "10@4").sequence, unwrap="spatial")
+    assert stack.with_lit_frame(sequence).unwrap == "spatial"
+    whole = noise_free_coordinates(light, sequence, projector)["u"]
+    monkeypatch.setattr(floors, "_BAND_BYTES", 1)
+    np.testing.assert_array_equal(noise_free_coordinates(light, sequence, projector)["u"], whole)
