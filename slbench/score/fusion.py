@@ -170,17 +170,31 @@ def largest_circle(spread: Spread, cycles_per_px: Array) -> Array:
     known = frequency[np.isfinite(frequency)]
     if not known.size:
         return np.full(frequency.shape, np.nan)
-    nodes = np.geomspace(known.min(), known.max() * (1.0 + 1e-9), _FREQUENCIES)
+    slowest, fastest = float(known.min()), float(known.max())
+    last = _last_frequency(spread, fastest)
+    if last <= slowest:
+        return np.where(np.isfinite(frequency), 1e-12, np.nan)
+    nodes = np.geomspace(slowest, last, _FREQUENCIES)
     wanted = KEPT * spread.contrast(nodes)
-    passed = wanted > _LEAST_CONTRAST
     low, high = np.zeros(nodes.size), 0.4 / nodes
-    while np.any(short := (spread.contrast(nodes, high) > wanted) & passed):
+    while np.any(short := spread.contrast(nodes, high) > wanted):
         high = np.where(short, 2.0 * high, high)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         kept = spread.contrast(nodes, middle) > wanted
         low, high = np.where(kept, middle, low), np.where(kept, high, middle)
     # In periods the circle changes little with the frequency.
-    periods = np.interp(np.log(frequency), np.log(nodes), np.where(passed, high * nodes, 0.0))
-    result: Array = np.maximum(periods / frequency, 1e-12)
-    return result
+    periods = np.interp(np.log(frequency), np.log(nodes), high * nodes)
+    return np.where(frequency > last, 1e-12, periods / frequency)
+
+
+def _last_frequency(spread: Spread, fastest: float) -> float:
+    """Return the fastest frequency up to `fastest` that is seen in focus, cycles a pixel."""
+    low, high = 0.0, fastest * (1.0 + 1e-9)
+    if spread.contrast(high) > _LEAST_CONTRAST:
+        return high
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        seen = bool(spread.contrast(middle) > _LEAST_CONTRAST)
+        low, high = (middle, high) if seen else (low, middle)
+    return low
