@@ -11,6 +11,10 @@ pattern_codes: Registry[type[Code]] = Registry(
         "flat": "slbench.patterns.flat:Flat",
         "gray": "slbench.patterns.gray:GrayCode",
         "fringes": "slbench.patterns.fringes:Fringes",
+        "micro": "slbench.patterns.codes.micro:MicroPhaseShifting",
+        "xor": "slbench.patterns.codes.xor:XorCode",
+        "orders": "slbench.patterns.codes.orders:PhaseCodedOrders",
+        "hamiltonian": "slbench.patterns.codes.hamiltonian:HamiltonianCode",
     },
     base="slbench.patterns.base:Code",
 )

@@ -117,6 +117,10 @@ def search(
             rival[begin + b] = second[b]
 
 
+#: Share of the slope's square that is left beside gain and offset, below which there is none.
+LEAST_SLOPE = 1e-9
+
+
 @njit(cache=True, nogil=True)
 def refine(
     pixels: Any, pieces: Any, groups: Any, offsets: Any, reach: Any, noise: Any,
@@ -207,8 +211,10 @@ def refine(
             for k in range(n_frames):
                 total += rest[k] ** 2
             residual[p] = total
+            whole = 0.0
             for k in range(n_frames):
                 slope[k] *= root[k] * solution[n_offsets + groups[k]]
+                whole += slope[k] ** 2
             for i in range(n_linear):
                 dot = 0.0
                 for k in range(n_frames):
@@ -219,7 +225,10 @@ def refine(
             for k in range(n_frames):
                 fisher += slope[k] ** 2
                 moment += slope[k] * rest[k]
-            if not fisher > 0.0:
+            if not fisher > LEAST_SLOPE * whole:
+                # All frames turn over here, as those of an exclusive or do: gain and offset follow
+                # every place between.
+                fisher = 0.0
                 break
             step = min(max(moment / fisher, -0.5), 0.5)
             moved = min(max(x + step, centre - allowed), centre + allowed)

@@ -105,7 +105,9 @@ def match(
     given = (frames, vectors.pieces(), vectors.gains, vectors.offsets, reach, coefficients, best)
     in_bands(partial(refine, *given, coordinate, information, gain, squares), count, 1 << 10)
     with np.errstate(divide="ignore", invalid="ignore"):
-        variance = np.where(edged, 1.0 / 12.0, 0.0)[best] + 1.0 / information
+        at_edge = edged[best]
+        own = np.where(at_edge & ~(information > 0.0), 0.0, 1.0 / information)
+        variance = np.where(at_edge, 1.0 / 12.0, 0.0) + own
         # A place within a cell of equal vectors is not known better than the cell.
         cell = wide[best]
         coordinate = np.where(cell, 0.5 * (starts + stops)[best], coordinate)

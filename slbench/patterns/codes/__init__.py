@@ -1,0 +1,1 @@
+"""Codes of the literature beside fringes and Gray codes, one file a family."""
