@@ -20,7 +20,7 @@ from typing import Literal
 from slbench.core.errors import InputError, located
 from slbench.core.random import tagged_seed
 from slbench.core.validation.values import checked
-from slbench.patterns import Axis, PatternSequence
+from slbench.patterns import Axis, GrayCode, PatternSequence
 from slbench.scene.model import Scene
 
 Equal = Literal["frames", "photons"]
@@ -71,10 +71,13 @@ class PatternSet:
         """Return how far off a coordinate is when its order is wrong, px.
 
         Half a period of the finest fringe set; 0 where a Gray code stands alone, which has no
-        order but the cell.
+        order but the cell; for other codes two pixels, which blur does not take for one another.
         """
         counts = self.sequence.fringe_counts(axis)
-        return 0.5 * self.sequence.size(axis) / max(counts) if counts else 0.0
+        if counts:
+            return 0.5 * self.sequence.size(axis) / max(counts)
+        own = [part for part in self.sequence.parts if axis in part.axes]
+        return 0.0 if all(isinstance(part, GrayCode) for part in own) else 2.0
 
 
 @checked

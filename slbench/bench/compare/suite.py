@@ -26,7 +26,10 @@ Progress = Callable[[str, float], None]
 #: Shipped scenes, from what every code can to what tells codes apart.
 SCENES = ("plane", "v-groove", "bowl", "defocused", "gamma", "dark-and-bright", "ambient")
 #: A set of every family, of as many frames as is usual for it.
-SETS = ("1,16@4", "1,10,50@4", "gray", "gray+16@4")
+SETS = (
+    *("1,16@4", "1,10,50@4", "gray", "gray+16@4", "micro", "xor4"),
+    *("orders16@4+16@4", "hamiltonian4"),
+)
 
 
 @dataclass(frozen=True)
@@ -88,8 +91,17 @@ class Claim:
     by: Literal["right", "error"]
 
 
+_GUPTA_2012 = "Gupta and Nayar, CVPR 2012"
+_GUPTA_2011 = "Gupta et al., CVPR 2011"
+_MICRO = "Micro phase shifting is nearer the truth than plain fringes under interreflection"
+_XOR = "XOR codes measure more rightly than a Gray code under interreflection"
 #: Of sets that :data:`SETS` has.
-CLAIMS: tuple[Claim, ...] = ()
+CLAIMS: tuple[Claim, ...] = (
+    Claim(_MICRO, _GUPTA_2012, "v-groove", "micro", "1,16@4", "error"),
+    Claim(_MICRO, _GUPTA_2012, "bowl", "micro", "1,16@4", "error"),
+    Claim(_XOR, _GUPTA_2011, "v-groove", "xor4", "gray", "right"),
+    Claim(_XOR, _GUPTA_2011, "bowl", "xor4", "gray", "right"),
+)
 
 
 @dataclass(frozen=True)

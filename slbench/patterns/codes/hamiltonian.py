@@ -1,8 +1,8 @@
 """Hamiltonian codes: the longest curve that a few frames can draw.
 
-M. Gupta and N. Nakhate, "A geometric perspective on structured light coding", ECCV 2018.  A code of K
-frames is a curve in the unit cube of K dimensions, along which a panel place moves; noise moves a
-point off the curve and along it, by the less of the panel the longer the curve is.  The longest
+M. Gupta and N. Nakhate, "A geometric perspective on structured light coding", ECCV 2018.  A code of
+K frames is a curve in the unit cube of K dimensions, along which a panel place moves; noise moves
+a point off the curve and along it, by the less of the panel the longer the curve is.  The longest
 curves that keep clear of themselves run along the cube's edges, from corner to corner, once through
 each: a Hamiltonian cycle.  The dark and the lit corner are left out, which no unknown offset or
 gain can be told from.
@@ -34,7 +34,7 @@ def cycle(frames: int) -> tuple[int, ...]:
     """
     full = 2**frames - 1
     weights = [bin(corner).count("1") % 2 for corner in range(full + 1)]
-    inner = [corner for corner in range(1, full)]
+    inner = range(1, full)
     least = min(sum(weights[c] == parity for c in inner) for parity in (0, 1))
     path = [1]
     seen = {0, 1, full}
