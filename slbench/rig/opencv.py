@@ -8,7 +8,7 @@ apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers
 ``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
 ``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``name_*``,
 ``fill_factor_camera``, ``flux_w``,
-``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.
+``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.  Other entries are left alone.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from slbench.core.errors import InputError, warn_user
-from slbench.core.io import read_opencv_yaml, write_opencv_yaml
+from slbench.core.io import OtherEntry, read_opencv_yaml, write_opencv_yaml
 from slbench.rig.device import Camera, Projector
 from slbench.rig.doubts import rig_doubts
 from slbench.rig.lens import Lens
@@ -132,6 +132,12 @@ class _Values:
             raise InputError(f"{self.path}: {key}", f"{sizes} finite numbers", f"{flat.tolist()}")
         return flat
 
+    def text(self, key: str, default: str) -> str:
+        value = self.values.get(key, default)
+        if isinstance(value, OtherEntry):
+            raise InputError(f"{self.path}: {key}", "a text", repr(value))
+        return str(value)
+
     def number(self, key: str, default: float) -> float:
         return float(self.array(key, (1,), default)[0])
 
@@ -176,7 +182,7 @@ def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
     width, height = values.array(f"size_{name}", (2,))
     if not (width.is_integer() and height.is_integer()):
         raise InputError(f"{values.path}: size_{name}", "whole numbers", f"{width} x {height}")
-    kind = str(values.values.get(f"lens_{name}", "perspective"))
+    kind = values.text(f"lens_{name}", "perspective")
     focus_key = f"focus_distance_mm_{name}"
     focus = values.number(focus_key, 0.0) if focus_key in values.values else np.inf
     aperture = values.number(f"aperture_radius_mm_{name}", 0.0)
@@ -246,12 +252,7 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
         camera = Camera(**camera_arguments, pose=camera_pose)
     with _blaming_the_file(path, "projector"):
         projector = Projector(**projector_arguments, pose=projector_pose)
-        own = Pair(
-            *(
-                str(values.values.get(f"name_{role}", name))
-                for role, name in names._asdict().items()
-            )
-        )
+        own = Pair(*(values.text(f"name_{role}", name) for role, name in names._asdict().items()))
         size = (float(volume[0]), float(volume[1]), float(volume[2]))
         rig = Rig({own.camera: camera}, {own.projector: projector}, size)
     for what, doubt in rig_doubts(rig):

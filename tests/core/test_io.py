@@ -462,12 +462,14 @@ def test_opencv_yaml_refuses_what_opencv_would_change(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+MATRIX = "a: !!opencv-matrix\n   rows: 2\n   cols: 1\n   dt: d\n   data: [ 1., 2. ]"
+
+
 def test_opencv_yaml_of_others(tmp_path):
     path = tmp_path / "a.yml"
     path.write_text("%YAML:1.0\n---\nsize: [ 640, 480 ]\n")
     assert io.read_opencv_yaml(path)["size"].tolist() == [640.0, 480.0]
-    matrix = "a: !!opencv-matrix\n   rows: 2\n   cols: 1\n   dt: d\n   data: [ 1., 2. ]"
-    path.write_text(f"%YAML:1.0\n---\n{matrix}\n")
+    path.write_text(f"%YAML:1.0\n---\n{MATRIX}\n")
     assert io.read_opencv_yaml(path)["a"].tolist() == [[1.0], [2.0]]
     damaged = [
         ("cols", "cops"),
@@ -476,15 +478,32 @@ def test_opencv_yaml_of_others(tmp_path):
         ("dt: d", "dt: 3d"),
     ]
     for entry in [
-        "a: [ b, c ]",
-        "a: { b: 1 }",
         "a: !!opencv-matrix\n   rows: 2\n",
         # Without `cols`, OpenCV itself corrupts its memory.
-        *(matrix.replace(old, new) for old, new in damaged),
+        *(MATRIX.replace(old, new) for old, new in damaged),
     ]:
         path.write_text(f"%YAML:1.0\n---\n{entry}\n")
-        with pytest.raises(InputError):
+        with pytest.raises(InputError, match="a: expected a whole matrix"):
             io.read_opencv_yaml(path)
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        "a: [ b, c ]",
+        "a: [ 1, [ 2, 3 ] ]",
+        "a: { b: 1 }",
+        "a: { columns: 9, rows: 6 }",
+        "a: { b: { rows: 2, dt: d } }",
+        MATRIX.replace("rows: 2", "rows: 1").replace("dt: d", "dt: 2d"),
+    ],
+)
+def test_opencv_yaml_leaves_alone_what_it_does_not_know(entry, tmp_path):
+    path = tmp_path / "a.yml"
+    path.write_text(f"%YAML:1.0\n---\n{entry}\nz: 3\n")
+    found = io.read_opencv_yaml(path)
+    assert isinstance(found["a"], io.OtherEntry)
+    assert found["z"] == 3
 
 
 # --- provenance ---------------------------------------------------------------------------

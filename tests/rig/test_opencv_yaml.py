@@ -130,6 +130,15 @@ class TestPlainCalibration:
         assert rig.camera.lens.focus_distance_mm == np.inf
         assert rig.projector.bit_depth == 8
 
+    def test_further_entries_are_left_alone(self, tmp_path):
+        path = written(tmp_path / "stereo.yml", plain())
+        alone = read_rig(path)
+        with path.open("a") as stream:
+            stream.write('images: [ "a.png", "b.png" ]\nboard: { columns: 9, rows: 6 }\n')
+        rig = read_rig(path)
+        np.testing.assert_array_equal(rig.projector.matrix, alone.projector.matrix)
+        np.testing.assert_array_equal(rig.projector.pose.position, alone.projector.pose.position)
+
     @pytest.mark.parametrize("count", [4, 5, 8, 12, 14])
     def test_any_number_of_coefficients(self, tmp_path, count):
         coefficients = np.zeros(count)
@@ -209,6 +218,16 @@ def test_a_bad_value_is_one_line_that_names_file_and_key(key, value, tmp_path):
     assert "\n" not in line
     assert str(path) in line
     assert key in line, line
+
+
+@pytest.mark.parametrize("key", ["K_camera", "T", "lens_camera", "name_camera", "flux_w"])
+@pytest.mark.parametrize("entry", ['[ "a", "b" ]', "{ b: 1 }"])
+def test_a_needed_entry_of_another_structure_is_named(key, entry, tmp_path):
+    path = written(tmp_path / "rig.yml", plain() | {key: None})
+    with path.open("a") as stream:
+        stream.write(f"{key}: {entry}\n")
+    with pytest.raises(InputError, match=rf"rig.yml: {key}: .*a list, a map"):
+        read_rig(path)
 
 
 def test_a_telecentric_lens_needs_its_focus_distance(tmp_path):

@@ -14,6 +14,7 @@ from .images import read_exr as read_exr
 from .images import read_grey as read_grey
 from .images import write_exr as write_exr
 from .images import write_png as write_png
+from .opencv_yaml import OtherEntry as OtherEntry
 from .opencv_yaml import read_opencv_yaml as read_opencv_yaml
 from .opencv_yaml import write_opencv_yaml as write_opencv_yaml
 from .provenance import provenance as provenance

@@ -19,7 +19,20 @@ from slbench.core.io.text import read_text
 
 #: Bytes of a file.
 _LARGEST = 64_000_000
+#: Channels of a matrix, if not one, and the type of its values.
+_MATRIX_KIND = re.compile(r"([1-9][0-9]?)?[A-Za-z]")
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+class OtherEntry:
+    """An entry that is none of what is read: a list of texts, a map, a matrix of two channels.
+
+    Calibration programs write what they like beside a rig.  Nothing but an entry that is needed
+    has to be understood, so whoever needs one says what it should have been.
+    """
+
+    def __repr__(self) -> str:
+        return "a list, a map or a matrix of several channels"
 
 
 def write_opencv_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
@@ -79,13 +92,14 @@ def read_opencv_yaml(path: str | Path) -> dict[str, Any]:
 
     Returns
     -------
-    dict of str to ndarray, float, int or str
-        Matrices as float64 (rows, columns); lists of numbers as float64 (n,).
+    dict of str to ndarray, float, int, str or OtherEntry
+        Matrices as float64 (rows, columns); lists of numbers as float64 (n,); an
+        :class:`OtherEntry` for every entry of another structure.
 
     Raises
     ------
     InputError
-        If the file is missing or corrupt, or holds structures other than these.
+        If the file is missing or corrupt, or a matrix in it is.
     """
     # In memory: OpenCV takes a byte order mark for the wrong format.
     text = read_text(path, "an OpenCV YAML file", _LARGEST)
@@ -116,9 +130,12 @@ def _value(node: Any, where: str) -> Any:
         return node.string()
     if node.isSeq() and (numbers := _numbers(node)) is not None:
         return numbers
-    if node.isMap() and (matrix := _matrix(node)) is not None:
-        return matrix
-    raise InputError(where, "a matrix, a number, a text or a list of numbers", "something else")
+    if node.isMap() and {"rows", "cols", "dt", "data"} & (keys := set(node.keys())):
+        if (matrix := _matrix(node)) is not None:
+            return matrix
+        if {"dt", "data"} & keys or keys <= {"rows", "cols"}:  # other maps have rows too
+            raise InputError(where, "a whole matrix", "a damaged one")
+    return OtherEntry()
 
 
 def _numbers(node: Any) -> NDArray[np.float64] | None:
@@ -129,21 +146,27 @@ def _numbers(node: Any) -> NDArray[np.float64] | None:
     return np.array([item.real() for item in items], dtype=np.float64)
 
 
-def _matrix(node: Any) -> NDArray[np.float64] | None:
-    """Return a matrix of one channel, or None if the map is none or not a sound one.
+def _matrix(node: Any) -> NDArray[np.float64] | OtherEntry | None:
+    """Return a matrix, another entry if it has several channels, or None if it is not sound.
 
     ``FileNode.mat`` writes beyond its memory when ``cols`` is missing, so it is not used.
     OpenCV 5 gives arrays of one axis ``sizes`` in place of ``rows`` and ``cols``.
     """
     kind, data, sizes = (node.getNode(name) for name in ("dt", "data", "sizes"))
-    if not (kind.isString() and len(kind.string()) == 1 and data.isSeq()):
+    kinds = _MATRIX_KIND.fullmatch(kind.string()) if kind.isString() else None
+    if kinds is None or not data.isSeq():
         return None
     if sizes.isSeq():
         lengths = [sizes.at(i) for i in range(sizes.size())]
     else:
         lengths = [node.getNode("rows"), node.getNode("cols")]
-    values = _numbers(data)
-    if values is None or not lengths or not all(length.isInt() for length in lengths):
+    if not lengths or not all(length.isInt() for length in lengths):
         return None
     shape = [int(length.real()) for length in lengths]
-    return values.reshape(shape) if min(shape) > 0 and math.prod(shape) == values.size else None
+    channels = int(kinds[1] or 1)
+    if min(shape) <= 0 or math.prod(shape) * channels != data.size():
+        return None
+    values = _numbers(data)
+    if values is None or channels > 1:
+        return None if values is None else OtherEntry()
+    return values.reshape(shape)
