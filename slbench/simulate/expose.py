@@ -141,7 +141,7 @@ def shutter_for(
     time, per_second = exposure.time_s, None
     if time is not None or np.isfinite(camera.lens.f_number):
         # Photons per second and unit scene radiance; a pinhole has none, and says so.
-        area = camera.pitch_mm[0] * camera.pitch_mm[1]
+        area = camera.pitch_mm[0] * camera.pitch_mm[1] * camera.fill_factor  # photosensitive
         irradiance = camera.etendue_mm2_sr / area
         photons = detector.photons(irradiance, 1.0, area)
         per_second = float(photons)

@@ -114,6 +114,27 @@ def test_dark_pixels_have_no_noise_free_coordinate():
     assert np.isfinite(found[12:]).all()
 
 
+def test_a_detector_is_given_irradiance_and_the_photosensitive_area(monkeypatch):
+    """Of half a pixel: the irradiance of the sensor does not change, what a pixel collects does."""
+    given = []
+
+    def photons(self, irradiance, exposure_s, area):
+        given.append((float(irradiance), area))
+        return right(self, irradiance, exposure_s, area)
+
+    right = Detector.photons
+    monkeypatch.setattr(Detector, "photons", photons)
+    whole = replace(scene(), exposure=Exposure(time_s=0.01))
+    camera = replace(whole.rig.camera, fill_factor=0.5)
+    half = replace(whole, rig=whole.rig.having(camera=camera))
+    shutters = [shutter_for(one, transport()) for one in (whole, half)]
+    (irradiance, area), (same, smaller) = given
+    assert same == pytest.approx(irradiance, rel=1e-12)
+    assert smaller == pytest.approx(0.5 * area, rel=1e-12)
+    assert area == pytest.approx(camera.pitch_mm[0] * camera.pitch_mm[1], rel=1e-12)
+    assert shutters[1].photons == pytest.approx(0.5 * shutters[0].photons, rel=1e-12)
+
+
 @pytest.mark.parametrize("bit_depth", [8, 10, 12, 14, 16])
 def test_without_noise_only_rounding_is_left(bit_depth):
     detector = Detector(bit_depth=bit_depth)
