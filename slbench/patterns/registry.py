@@ -15,6 +15,12 @@ pattern_codes: Registry[type[Code]] = Registry(
         "xor": "slbench.patterns.codes.xor:XorCode",
         "orders": "slbench.patterns.codes.orders:PhaseCodedOrders",
         "hamiltonian": "slbench.patterns.codes.hamiltonian:HamiltonianCode",
+        "two-plus-one": "slbench.patterns.codes.two_plus_one:TwoPlusOne",
+        "two-step": "slbench.patterns.codes.two_step:TwoStep",
+        "trapezoid": "slbench.patterns.codes.trapezoidal:Trapezoidal",
+        "binary-fringes": "slbench.patterns.codes.binary:BinaryFringes",
+        "embedded": "slbench.patterns.codes.embedded:EmbeddedPhaseShifting",
+        "modulated": "slbench.patterns.codes.modulated:ModulatedPhaseShifting",
     },
     base="slbench.patterns.base:Code",
 )

@@ -1,0 +1,164 @@
+"""Codes that repeat themselves across the panel, and say where within a period a pixel is."""
+
+from __future__ import annotations
+
+import re
+from abc import abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.core.errors import InputError
+from slbench.core.validation.types import FringeNumber
+from slbench.patterns.base import (
+    Axis,
+    Code,
+    FloatArray,
+    Found,
+    Observed,
+    Panel,
+    Placed,
+    Rule,
+    Run,
+    extent,
+)
+
+#: Three pixels a period are the least that carry amplitude, phase and mean.
+MIN_PIXELS_PER_PERIOD = 3
+#: Standard deviations within which the two ends of the panel are not told apart.
+END_SIGMAS = 3.0
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Where within its period a pixel is.
+
+    Parameters
+    ----------
+    turns, sigma : (P,) float64
+        Periods since the last one began, in any turn, and their standard deviation.
+    modulation, mean : (P,) float64
+        Half the range of the frames and their mean, DN.
+    """
+
+    turns: FloatArray
+    sigma: FloatArray
+    modulation: FloatArray
+    mean: FloatArray
+
+
+@dataclass(frozen=True)
+class PeriodicCode(Code):
+    """A code of `count` equal periods, unwrapped as fringes are (thesis eq. 26).
+
+    A family says what it shows and gives :meth:`estimate`.  Its codes are decoded after all other
+    families of the axis, fewer periods before more; the first needs one period or less, or a
+    coarser code.  Evidence: ``order_residual``, the order before it is rounded less the whole
+    number it is rounded to, turns.
+    """
+
+    refines: ClassVar[bool] = True
+
+    count: FringeNumber
+    axis: Axis = "u"
+
+    @property
+    def axes(self) -> tuple[Axis, ...]:
+        """The coded axis."""
+        return (self.axis,)
+
+    @abstractmethod
+    def estimate(self, placed: Placed, observed: Observed) -> Estimate:
+        """Return where within a period each pixel is, from the frames of the code."""
+
+    def phase(self, size: int) -> FloatArray:
+        """Return periods since the panel's edge, (size,)."""
+        return self.count * (np.arange(size) + 0.5) / size
+
+    def check(self, panel: Panel, before: Sequence[Code]) -> None:
+        """Raise InputError for more periods than the panel has pixels for."""
+        most = extent(panel, self.axis) / MIN_PIXELS_PER_PERIOD
+        if self.count > most:
+            name = type(self).__name__
+            raise InputError(f"{name}: count", f"at most {most:.4g}", f"{self.count:g}")
+
+    @classmethod
+    def read_word(cls, word: str, axis: Axis, shifts: int) -> list[Self] | None:
+        """Read the family's name and the number of periods, ``trapezoid16``."""
+        match = re.fullmatch(rf"{cls.kind}(\d{{1,6}}(?:\.\d+)?)", word)
+        return [cls(float(match[1]), axis)] if match else None
+
+    @property
+    def word(self) -> str:
+        """The word that is read back."""
+        return self.kind + np.format_float_positional(self.count, trim="-")
+
+    @classmethod
+    def check_run(cls, run: Run, before: Sequence[Run]) -> None:
+        """Raise InputError if nothing tells the periods apart."""
+        least = min(cast(Self, placed.code).count for placed in run.parts)
+        if not before and least > 1.0:
+            where = f"decode: parts[{run.parts[0].index}]"
+            expected = f"one period or less, or a coarser code along {run.axes[0]}"
+            raise InputError(where, expected, f"{least:g} periods")
+
+    @classmethod
+    def decode_run(
+        cls, run: Run, observed: Observed, found: Mapping[Axis, Found]
+    ) -> dict[Axis, Found]:
+        """Decode the codes of the run, each unwrapped from the one before."""
+        (axis,) = run.axes
+        size = extent(observed.panel, axis)
+        coarser = found.get(axis)
+        parts = sorted(run.parts, key=lambda placed: cast(Self, placed.code).count)
+        place = None if coarser is None else (coarser.coordinate + 0.5) / size
+        closed = coarser is None and all(cast(Self, p.code).count % 1.0 == 0.0 for p in parts)
+        dim = order = np.zeros(observed.pixels.shape[1], dtype=np.bool_)
+        evidence: dict[int, dict[str, FloatArray]] = {}
+        for placed in parts:
+            code = cast(Self, placed.code)
+            own = code.estimate(placed, observed)
+            turns = own.turns % 1.0
+            noise = np.sqrt(observed.noise.variance(own.mean))
+            least = np.maximum(observed.min_modulation, observed.min_snr * noise)
+            dim = dim | ~((own.modulation >= least) & np.isfinite(own.sigma))
+            if place is not None:
+                exact = code.count * place - turns
+                whole = np.round(exact)
+                residual = exact - whole
+                order = order | ~(np.abs(residual) <= observed.max_order_residual)
+                turns = whole + turns
+                if observed.keep_evidence:
+                    evidence[placed.index] = {"order_residual": residual}
+            place = turns / code.count
+            sigma = own.sigma / code.count
+        assert place is not None  # a run has a part
+        margin = END_SIGMAS * sigma
+        if closed:  # the panel is a circle: its ends are one place
+            place = place % 1.0
+            end = ~((place >= margin) & (place <= 1.0 - margin))
+        else:
+            end = ~((place >= -margin) & (place <= 1.0 + margin))
+        lost: NDArray[np.bool_] = dim | order | end
+        rules = [Rule.MODULATION, Rule.ORDER, Rule.END]
+        dropped = np.select([dim, order, end], rules, Rule.KEPT).astype(np.uint8)
+        return {
+            axis: Found(
+                coordinate=size * place - 0.5,
+                sigma=size * sigma,
+                modulation=own.modulation,
+                mean=own.mean,
+                mask=~lost,
+                evidence=evidence,
+                dropped=dropped if observed.keep_evidence else None,
+            )
+        }
+
+
+def own_frames(placed: Placed, observed: Observed) -> tuple[FloatArray, FloatArray]:
+    """Return the frames of a part and their variances, (n, P) each, DN and DN^2."""
+    frames = observed.pixels[placed.frames.start : placed.frames.stop].astype(np.float64)
+    return frames, observed.noise.variance(frames)
