@@ -475,7 +475,7 @@ def test_opencv_yaml_of_others(tmp_path):
         ("cols", "cops"),
         ("cols: 1", "cols: 2"),
         ("rows: 2", "rows: -2"),
-        ("dt: d", "dt: 3d"),
+        ("dt: d", 'dt: "3d"'),
     ]
     for entry in [
         "a: !!opencv-matrix\n   rows: 2\n",
@@ -495,7 +495,7 @@ def test_opencv_yaml_of_others(tmp_path):
         "a: { b: 1 }",
         "a: { columns: 9, rows: 6 }",
         "a: { b: { rows: 2, dt: d } }",
-        MATRIX.replace("rows: 2", "rows: 1").replace("dt: d", "dt: 2d"),
+        MATRIX.replace("rows: 2", "rows: 1").replace("dt: d", 'dt: "2d"'),
     ],
 )
 def test_opencv_yaml_leaves_alone_what_it_does_not_know(entry, tmp_path):
