@@ -21,6 +21,7 @@ pattern_codes: Registry[type[Code]] = Registry(
         "binary-fringes": "slbench.patterns.codes.binary:BinaryFringes",
         "embedded": "slbench.patterns.codes.embedded:EmbeddedPhaseShifting",
         "modulated": "slbench.patterns.codes.modulated:ModulatedPhaseShifting",
+        "images": "slbench.patterns.images:Images",
     },
     base="slbench.patterns.base:Code",
 )

@@ -41,6 +41,8 @@ class MatchedCode(Code):
         """Decode the frames of the run by matching, near what coarser codes have found."""
         from slbench.patterns.matching.match import match
 
+        if run.parts[0].code.varies(0) == "uv":
+            return _decode_plane(run, observed)
         (axis,) = run.axes
         indices = [k for placed in run.parts for k in placed.frames]
         pixels = observed.pixels[indices]
@@ -84,6 +86,37 @@ class MatchedCode(Code):
         if frames < 3:
             where = f"decode: parts[{run.parts[0].index}]"
             raise InputError(where, "at least 3 frames, to be decoded by matching", frames)
+
+
+def _decode_plane(run: Run, observed: Observed) -> Decoded:
+    """Decode images over the whole panel."""
+    from slbench.patterns.matching.plane import match_plane
+
+    pixels = observed.pixels[[k for placed in run.parts for k in placed.frames]]
+    images = [p.code.image(k, run.panel) for p in run.parts for k in range(len(p.frames))]
+    result = match_plane(pixels, np.array(images), observed.noise)
+    mean: FloatArray = pixels.mean(axis=0, dtype=np.float64)
+    modulation = 0.5 * result.gain
+    noise = np.sqrt(observed.noise.variance(mean))
+    good = (modulation >= observed.min_modulation) & (modulation >= observed.min_snr * noise)
+    evidence: dict[int, dict[str, Any]] = {}
+    if observed.keep_evidence:
+        evidence[run.parts[0].index] = {
+            "correlation": result.correlation,
+            "rival": result.rival,
+            "fit_residual_dn": result.residual_dn,
+        }
+    return {
+        axis: Found(
+            coordinate=result.coordinate["uv".index(axis)],
+            sigma=result.sigma["uv".index(axis)],
+            modulation=modulation,
+            mean=mean,
+            mask=good & result.sure,
+            evidence=evidence,
+        )
+        for axis in run.axes
+    }
 
 
 def vectors_of_parts(profiles: Sequence[FloatArray], code: Code) -> CodeVectors:
