@@ -28,7 +28,7 @@ def test_show(tmp_path):
 
 def test_write_and_decode(tmp_path):
     out = tmp_path / "session"
-    done = run_cli("patterns", "write", "1,8@4", "--panel", 96, 60, "--out", out)
+    done = run_cli("patterns", "write", "1,8@4", "--panel", "96x60", "--out", out)
     assert done.status == 0, done.err
     assert str(out / "photographs") in done.out
     (out / "photographs").mkdir()
@@ -42,7 +42,8 @@ def test_refused(tmp_path):
     out = ("--out", tmp_path / "x")
     check_refused(run_cli("patterns", "show", "10,20"), "one fringe or a Gray code")
     check_refused(run_cli("patterns", "show", "grey"), "gray")
-    check_refused(run_cli("patterns", "write", "1,8", "--panel", 0, 3, *out), "panel[0]")
-    wide = run_cli("patterns", "write", "1,8", "--panel", 96, 60, "--bits", 17, *out)
+    check_refused(run_cli("patterns", "write", "1,8", "--panel", "0x3", *out), "panel[0]")
+    check_refused(run_cli("patterns", "show", "1,8", "--panel", "96 60"), "such as 1280x800")
+    wide = run_cli("patterns", "write", "1,8", "--panel", "96x60", "--bits", 17, *out)
     check_refused(wide, "bits")
     assert not (tmp_path / "x").exists()

@@ -12,10 +12,10 @@ from slbench.cli.lazy import command
 from slbench.cli.patterns.given import Axes, Panel, PatternText, sequence_of
 
 
-@command('slbench patterns show "gray+16@4" --panel 1280 800 --out set.png')
+@command('slbench patterns show "gray+16@4" --panel 1280x800 --out set.png')
 def show(
     patterns: PatternText,
-    panel: Panel = (640, 480),
+    panel: Panel = "640x480",
     axes: Axes = "u",
     out: Annotated[Path | None, typer.Option(help="A PNG of what the panel shows.")] = None,
     as_json: Json = False,

@@ -12,7 +12,7 @@ from slbench.cli.patterns.given import Axes, Panel, PatternText, sequence_of
 from slbench.core.validation.types import Gamma, PanelBits, Whole
 
 
-@command('slbench patterns write "gray+16@4" --panel 1280 800 --gamma 2.2 --out session')
+@command('slbench patterns write "gray+16@4" --panel 1280x800 --gamma 2.2 --out session')
 def write(
     patterns: PatternText,
     panel: Panel,

@@ -1,6 +1,7 @@
 """Values and arguments are refused by their types alone: one property a class, derived from it."""
 
 import dataclasses
+import inspect
 import re
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from slbench.datasets.read.recipe import Recipe
 from slbench.design.rig.hardware import load_hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import load_artefact
-from slbench.patterns import Flat, Fringes, GrayCode, NoiseModel, PatternSequence
+from slbench.patterns import Fringes, NoiseModel, PatternSequence, pattern_codes
+from slbench.patterns.images import Images
 from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
@@ -45,6 +47,13 @@ MANIFEST = Manifest(
     specification={},
 )
 
+#: One of each family of codes: that of its first word, or of what needs files.
+CODES = [Fringes(1), Images(np.zeros((3, 48, 64), np.uint8), "u")]
+CODES += [
+    next(code[0] for word in family.words if (code := family.read_word(word, "u", 4)))
+    for family in (pattern_codes.get(kind) for kind in pattern_codes)
+    if family not in (Fringes, Images)
+]
 #: One of each class of values.
 VALUES = [
     LENS,
@@ -54,9 +63,7 @@ VALUES = [
     DesignVariables(100.0, 50.0, 0.0, 5.0, 0.1, 0.0),
     Detector(),
     NoiseModel(),
-    Flat(1.0),
-    Fringes(1),
-    GrayCode(),
+    *CODES,
     SEQUENCE,
     SequenceTable((64, 48), ({"kind": "gray"},)),
     Recipe("1"),
@@ -80,7 +87,9 @@ def test_every_class_of_values_has_an_example():
     found = {"Value"}
     while more := {name for name, parents in bases.items() if parents & found} - found:
         found |= more
-    assert found - {"Value", "Code"} == {type(value).__name__ for value in VALUES}
+    above = {base for code in CODES for base in type(code).__mro__ if inspect.isabstract(base)}
+    found -= {"Value"} | {base.__name__ for base in above}
+    assert found == {type(value).__name__ for value in VALUES}
 
 
 @pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
