@@ -22,6 +22,8 @@ pattern_codes: Registry[type[Code]] = Registry(
         "embedded": "slbench.patterns.codes.embedded:EmbeddedPhaseShifting",
         "modulated": "slbench.patterns.codes.modulated:ModulatedPhaseShifting",
         "images": "slbench.patterns.images:Images",
+        "fourier": "slbench.patterns.codes.spatial.fourier:FourierTransform",
+        "speckle": "slbench.patterns.codes.random.speckle:Speckle",
     },
     base="slbench.patterns.base:Code",
 )

@@ -42,7 +42,9 @@ def bayer() -> FloatArray:
 
 @dataclass(frozen=True, repr=False)
 class BinaryFringes(Fringes):
-    """Fringes of two levels; all parameters of :class:`Fringes` and one more.
+    """Fringes of two levels, for a projector out of focus.
+
+    All parameters of :class:`Fringes`, and one more.
 
     Parameters
     ----------

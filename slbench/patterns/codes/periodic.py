@@ -25,6 +25,7 @@ from slbench.patterns.base import (
     Run,
     extent,
 )
+from slbench.patterns.phase import unwrap_spatially
 
 #: Three pixels a period are the least that carry amplitude, phase and mean.
 MIN_PIXELS_PER_PERIOD = 3
@@ -55,9 +56,9 @@ class PeriodicCode(Code):
     """A code of `count` equal periods, unwrapped as fringes are (thesis eq. 26).
 
     A family says what it shows and gives :meth:`estimate`.  Its codes are decoded after all other
-    families of the axis, fewer periods before more; the first needs one period or less, or a
-    coarser code.  Evidence: ``order_residual``, the order before it is rounded less the whole
-    number it is rounded to, turns.
+    families of the axis, fewer periods before more; the first needs one period or less, a coarser
+    code, or ``unwrap = "spatial"``.  Evidence: ``order_residual``, the order
+    before it is rounded less the whole number it is rounded to, turns.
     """
 
     refines: ClassVar[bool] = True
@@ -100,9 +101,11 @@ class PeriodicCode(Code):
     def check_run(cls, run: Run, before: Sequence[Run]) -> None:
         """Raise InputError if nothing tells the periods apart."""
         least = min(cast(Self, placed.code).count for placed in run.parts)
-        if not before and least > 1.0:
+        if not before and least > 1.0 and run.unwrap != "spatial":
             where = f"decode: parts[{run.parts[0].index}]"
-            expected = f"one period or less, or a coarser code along {run.axes[0]}"
+            expected = (
+                f'one period or less, a coarser code along {run.axes[0]}, or unwrap = "spatial"'
+            )
             raise InputError(where, expected, f"{least:g} periods")
 
     @classmethod
@@ -133,6 +136,9 @@ class PeriodicCode(Code):
                 turns = whole + turns
                 if observed.keep_evidence:
                     evidence[placed.index] = {"order_residual": residual}
+            elif code.count > 1.0:  # unwrap = "spatial", by check_run
+                good = ~dim & ~saturated(placed, observed)
+                turns = _by_neighbours(turns, good, observed.shape, code.count)
             place = turns / code.count
             sigma = own.sigma / code.count
         assert place is not None  # a run has a part
@@ -156,6 +162,27 @@ class PeriodicCode(Code):
                 dropped=dropped if observed.keep_evidence else None,
             )
         }
+
+
+def saturated(placed: Placed, observed: Observed) -> NDArray[np.bool_]:
+    """Return where a frame of a part is saturated or not a number, (P,)."""
+    own = observed.pixels[placed.frames.start : placed.frames.stop]
+    return np.logical_or.reduce(~(own < observed.saturation), axis=0)
+
+
+def _by_neighbours(
+    turns: FloatArray, good: NDArray[np.bool_], shape: tuple[int, int], count: float
+) -> FloatArray:
+    """Return turns unwrapped by their neighbours, NaN where they are not good.
+
+    Of all whole numbers that they may be off by, the one is taken that brings the median nearest
+    to the middle of the panel.
+    """
+    if not good.any():
+        return np.full_like(turns, np.nan)
+    phase = 2.0 * np.pi * turns.reshape(shape)
+    found = unwrap_spatially(phase, good.reshape(shape)).ravel() / (2.0 * np.pi)
+    return found + np.round(0.5 * count - np.nanmedian(found))
 
 
 def own_frames(placed: Placed, observed: Observed) -> tuple[FloatArray, FloatArray]:

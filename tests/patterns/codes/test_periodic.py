@@ -156,7 +156,7 @@ def test_dithered_fringes_need_less_blur_than_square_ones():
 
 
 def test_refusals():
-    with pytest.raises(InputError, match="one period or less, or a coarser code"):
+    with pytest.raises(InputError, match="one period or less, a coarser code"):
         PatternSequence.parse("two-plus-one16", PANEL).runs()
     sequence = PatternSequence.parse("gray+two-step16+white", PANEL)
     with pytest.raises(InputError, match="expected a white and a black frame"):
