@@ -43,6 +43,8 @@ _CATALOGUE_MM = (
 _LEAST_EXTENSION = 0.05
 #: Error of a principal point, in sizes of the image, that still tells another resolution.
 _NEAR = 0.06
+#: Blur, px, beyond which it is questioned: ordinary projectors have one or two.
+_MOST_BLUR_PX = 20.0
 #: Wavelengths of light that lenses take, nm.
 _WAVELENGTHS_NM = (100.0, 20_000.0)
 #: Places along each side of a panel that are asked whether they see anything.
@@ -157,6 +159,18 @@ def wavelength_doubt(device: Device) -> str | None:
     return None
 
 
+def blur_doubt(device: Device) -> str | None:
+    """Question a blur that leaves nothing of ordinary fringes: another unit, perhaps."""
+    if device.blur_px <= _MOST_BLUR_PX:
+        return None
+    finest = 4.0 * device.blur_px  # 0.3 of the contrast
+    micrometres = 1e-3 * device.blur_px / device.pitch_mm[0]
+    return (
+        f"a blur of {device.blur_px:.4g} px (standard deviation) leaves little of fringes finer "
+        f"than {finest:.3g} px; {device.blur_px:.4g} µm would be {micrometres:.3g} px"
+    )
+
+
 def rig_doubts(rig: Rig) -> Iterator[tuple[str, str]]:
     """Return what is odd about a camera and a projector: (what, sentence)."""
     for name, device in (("camera", rig.camera), ("projector", rig.projector)):
@@ -164,6 +178,8 @@ def rig_doubts(rig: Rig) -> Iterator[tuple[str, str]]:
             yield f"pitch_um of the {name}", doubt
         if doubt := wavelength_doubt(device):
             yield f"wavelength_nm of the {name}", doubt
+        if doubt := blur_doubt(device):
+            yield f"blur_px of the {name}", doubt
         if any(device.distortion) and (doubt := fold_doubt(device)):
             yield f"distortion of the {name}", doubt
     if doubt := principal_point_doubt(rig.camera):

@@ -119,6 +119,34 @@ class TestDraws:
         assert again.objects[0].pose.position[0] == made.values["x_mm"]
         assert again.objects[0].artefact.certified["step_1_height_mm"] == made.values["height_mm"]
 
+    def test_lenses_are_drawn_as_everything_else(self, tmp_path):
+        """Diffraction, blur and fill factor are keys of the scene, and so of its draws."""
+        scene = copy.deepcopy(TINY["scene"])
+        projector = {
+            "blur_px": {"uniform": [0.5, 2.0]},
+            "wavelength_nm": {"choice": [455.0, 625.0]},
+        }
+        camera = {
+            "blur_px": {"uniform": [0.0, 1.0], "name": "camera_blur_px"},
+            "fill_factor": {"uniform": [0.5, 0.9]},
+        }
+        scene["projector"] = scene.get("projector", {}) | projector
+        scene["camera"] = scene.get("camera", {}) | camera
+        specification, files = load(write_spec(tmp_path, scene=scene))
+        blurs = set()
+        for sample in range(4):
+            made = draw(specification, 1, sample, kind=0)
+            folder = tmp_path / f"sample{sample}"
+            folder.mkdir()
+            place_scene(made, files, folder, False)
+            rig = load_scene(folder / "scene.toml").rig
+            assert 0.5 <= rig.projector.blur_px <= 2.0
+            assert rig.projector.lens.wavelength_nm in (455.0, 625.0)
+            assert 0.5 <= rig.camera.fill_factor <= 0.9
+            assert rig.camera.blur_px <= 1.0
+            blurs.add(rig.projector.blur_px)
+        assert len(blurs) == 4
+
     def test_rejection_does_not_change_how_often_a_kind_comes(self, tmp_path):
         specification, _ = load(write_spec(tmp_path))
         for sample in range(10):

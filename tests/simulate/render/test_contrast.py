@@ -71,7 +71,7 @@ def seen(camera, projector, angle, height, samples, seed=0, things=()):
 @pytest.mark.parametrize("angle", [0.0, 0.1], ids=["facing", "tilted"])
 @pytest.mark.parametrize("blur", [0.0, 1.5, 3.0])
 @pytest.mark.parametrize("wavelength", [0.0, 550.0])
-@pytest.mark.parametrize("na", [0.02, 0.2])
+@pytest.mark.parametrize("na", [0.02, 0.06, 0.2])
 @pytest.mark.parametrize("which", ["projector", "camera", "camera and projector"])
 def test_the_transfer_function(which, na, wavelength, blur, angle):
     camera, projector = devices(na, wavelength, blur, which)

@@ -1,9 +1,9 @@
-"""Wavelengths that were probably meant otherwise."""
+"""Wavelengths and blurs that were probably meant otherwise."""
 
 import pytest
 
 from slbench.rig import Camera, Lens
-from slbench.rig.doubts import wavelength_doubt
+from slbench.rig.doubts import blur_doubt, wavelength_doubt
 
 
 def camera(nm, aperture=2.0):
@@ -25,3 +25,14 @@ def test_another_unit(nm, unit):
 def test_a_pinhole_does_not_diffract():
     assert "pinhole" in (wavelength_doubt(camera(550.0, 0.0)) or "")
     assert wavelength_doubt(camera(0.0, 0.0)) is None
+
+
+@pytest.mark.parametrize("blur", [0.0, 1.0, 20.0])
+def test_a_blur_of_ordinary_lenses_is_not_questioned(blur):
+    assert blur_doubt(Camera(64, 48, (0.01, 0.01), Lens(16.0, 2.0, 400.0), blur_px=blur)) is None
+
+
+def test_a_blur_that_leaves_no_fringes_is_questioned():
+    said = blur_doubt(Camera(64, 48, (0.01, 0.01), Lens(16.0, 2.0, 400.0), blur_px=25.0)) or ""
+    assert "finer than 100 px" in said
+    assert "25 µm would be 2.5 px" in said
