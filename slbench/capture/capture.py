@@ -5,7 +5,7 @@ beside ``capture.toml``, and the same manifest describes real photographs::
 
     format = 1
     bit_depth = 8
-    frames = ["frames/000.png", "frames/001.png", ...]   # in the order of the patterns
+    frames = "frames/*.png"                              # in natural order, or a list of files
     rig = "rig.yaml"                                     # optional, to triangulate
     camera = "left"                                      # optional, where devices have names
     projector = "projector"
@@ -22,23 +22,23 @@ beside ``capture.toml``, and the same manifest describes real photographs::
     gain_dn_per_e = 0.016
     offset_dn = 2.0
 
-``modules = ["my_codes.py"]`` at its top names Python files beside it that add pattern codes
-(:mod:`slbench.core.modules`).
+What ``frames`` may be is said in :mod:`slbench.capture.reading`.  ``modules = ["my_codes.py"]``
+at its top names Python files beside it that add pattern codes (:mod:`slbench.core.modules`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.core import resources
-from slbench.core.errors import InputError, located
-from slbench.core.io import OutputFolder, read_grey, read_toml, write_png, write_toml
+from slbench.capture.reading import allowed, frame_files, left_aligned, read_frames, shifted
+from slbench.core.errors import InputError, located, warn_user
+from slbench.core.io import OutputFolder, read_toml, write_png, write_tiff, write_toml
 from slbench.core.modules import load_modules, save_modules
 from slbench.core.show.display import block
 from slbench.core.show.drawing import figure
@@ -60,13 +60,14 @@ MANIFEST = "capture.toml"
 CAPTURE_ENTRIES = (MANIFEST, "frames", "rig.yaml", "*.py")
 _FOLDER = OutputFolder("capture", CAPTURE_ENTRIES)
 _FORMAT = 1
+_TYPES = (np.uint8, np.uint16, np.float32, np.float64)
 
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureTable(Value):
     """The keys of a ``capture.toml``."""
 
-    frames: Annotated[tuple[str, ...], MinLen(1)]
+    frames: str | Annotated[tuple[str, ...], MinLen(1)]
     patterns: dict[str, Any]
     format: Literal[1] = 1
     modules: tuple[str, ...] = ()
@@ -86,19 +87,20 @@ class Capture(Value):
 
     Parameters
     ----------
-    frames : (N, V, U) uint8 or uint16
+    frames : (N, V, U) uint8, uint16, float32 or float64
         Digital numbers, one frame a pattern.
     sequence : PatternSequence
         N frames.
-    bit_depth : int
-        Bits of a digital number.
+    bit_depth : int or None
+        Bits of a digital number; None for floats whose range is not known.
     noise : NoiseModel or None
         Temporal noise, for predicted deviations; None where it is not known.
     rig : Rig or None
         Geometry of the camera and the projector, where it is known.
     exposure_s : float or None
     saturation_dn : int or None
-        Digital number at and above which a pixel is saturated; None is the top of the range.
+        Digital number at and above which a pixel is saturated; None is the top of the range,
+        if there is one.
     min_modulation_dn : float or None
         Least modulation of a pixel that is measured; None is the decoder's own limit.
     pair : Pair
@@ -107,7 +109,7 @@ class Capture(Value):
 
     frames: NDArray[Any]
     sequence: PatternSequence
-    bit_depth: BitDepth = 8
+    bit_depth: BitDepth | None = 8
     noise: NoiseModel | None = None
     rig: Rig | None = None
     exposure_s: Positive | None = None
@@ -118,22 +120,26 @@ class Capture(Value):
     def __post_init__(self) -> None:
         super().__post_init__()
         frames = self.frames
-        if frames.ndim != 3 or frames.dtype not in (np.uint8, np.uint16) or frames.size == 0:
-            raise InputError(
-                "capture frames", "(N, V, U) uint8 or uint16", f"{frames.shape} {frames.dtype}"
-            )
+        if frames.ndim != 3 or frames.dtype not in _TYPES or frames.size == 0:
+            expected = "(N, V, U) uint8, uint16, float32 or float64"
+            raise InputError("capture frames", expected, f"{frames.shape} {frames.dtype}")
         if len(frames) != self.sequence.n_frames:
             raise InputError(
                 "capture frames",
                 f"{self.sequence.n_frames}, as many as patterns ({self.sequence.name})",
                 len(frames),
             )
-        top = 2**self.bit_depth - 1
-        for key in ("saturation_dn", "min_modulation_dn"):
-            if (getattr(self, key) or 0) > top:
-                raise InputError(key, f"at most {top} DN, the top of the range", getattr(self, key))
-        if frames.dtype.itemsize * 8 < self.bit_depth:
-            raise InputError("capture frames", f"{self.bit_depth} bit frames", frames.dtype)
+        if self.bit_depth is None:
+            if frames.dtype.kind != "f":
+                raise InputError("bit_depth", f"the bits of {frames.dtype} frames", "none")
+        else:
+            top = 2**self.bit_depth - 1
+            for key in ("saturation_dn", "min_modulation_dn"):
+                value = getattr(self, key) or 0
+                if value > top:
+                    raise InputError(key, f"at most {top} DN, the top of the range", value)
+            if frames.dtype.itemsize * 8 < self.bit_depth:
+                raise InputError("capture frames", f"{self.bit_depth} bit frames", frames.dtype)
         if self.rig is not None:
             if self.rig.only != self.pair:
                 raise InputError("rig", f"devices {self.pair}", self.rig.only)
@@ -142,9 +148,10 @@ class Capture(Value):
     def __repr__(self) -> str:
         count, rows, columns = self.frames.shape
         known = [name for name in ("noise", "rig") if getattr(self, name) is not None]
+        bits = str(self.frames.dtype) if self.bit_depth is None else f"{self.bit_depth} bit"
         time = "" if self.exposure_s is None else f"exposure {1e3 * self.exposure_s:.4g} ms, "
         return block(
-            f"Capture of {count} frames {columns} x {rows} px, {self.bit_depth} bit: "
+            f"Capture of {count} frames {columns} x {rows} px, {bits}: "
             f"{{{self.sequence.name}}} along {' and '.join(self.sequence.axes) or 'no axis'}",
             f"{time}known: {' and '.join(known) or 'neither noise nor rig'}",
         )
@@ -154,6 +161,26 @@ class Capture(Value):
         """Least modulation of a pixel that is measured: `min_modulation_dn` or the default."""
         own = self.min_modulation_dn
         return MIN_MODULATION_DN if own is None else own
+
+    @property
+    def depth(self) -> int:
+        """`bit_depth`, for what needs the range of the numbers.
+
+        Raises
+        ------
+        InputError
+            For floats whose range is not known.
+        """
+        if self.bit_depth is None:
+            raise InputError("bit_depth", "the bits of the frames' floats, stated", "none")
+        return self.bit_depth
+
+    @property
+    def top_dn(self) -> float:
+        """Digital number at and above which a pixel is saturated; inf where there is none."""
+        if self.saturation_dn is not None:
+            return self.saturation_dn
+        return inf if self.bit_depth is None else 2**self.bit_depth - 1
 
     def decode(self, min_modulation: float | None = None, **options: Any) -> PhaseMap:
         """Decode the frames.
@@ -169,7 +196,7 @@ class Capture(Value):
             self.frames,
             self.sequence,
             noise=self.noise,
-            saturation=self.saturation_dn or 2**self.bit_depth - 1,
+            saturation=self.top_dn,
             min_modulation=self.least_modulation_dn if min_modulation is None else min_modulation,
             **options,
         )
@@ -195,15 +222,18 @@ class Capture(Value):
         """Write frames, manifest and rig as part of a folder that is being made."""
         root = Path(folder)
         (root / "frames").mkdir(parents=True, exist_ok=True)
-        names = [f"frames/{k:03d}.png" for k in range(len(self.frames))]
+        suffix, write = ("tif", write_tiff) if self.frames.dtype.kind == "f" else ("png", write_png)
+        names = [f"frames/{k:03d}.{suffix}" for k in range(len(self.frames))]
         for name, frame in zip(names, self.frames, strict=True):
-            write_png(root / name, frame)
+            write(root / name, frame)
         manifest: dict[str, Any] = {
             "format": _FORMAT,
             "bit_depth": self.bit_depth,
             "frames": names,
             "patterns": self.sequence.to_dict(root),
         }
+        if self.bit_depth is None:
+            del manifest["bit_depth"]
         modules = save_modules(
             (pattern_codes.origin(part.kind) for part in self.sequence.parts), root
         )
@@ -225,7 +255,9 @@ class Capture(Value):
         write_toml(root / MANIFEST, manifest)
 
     @classmethod
-    def load(cls, folder: str | Path, *, allow_modules: bool = False) -> Capture:
+    def load(
+        cls, folder: str | Path, *, allow_modules: bool = False, allow_outside: bool = False
+    ) -> Capture:
         """Read a folder with a manifest: what :meth:`save` wrote, or real photographs.
 
         Parameters
@@ -233,12 +265,20 @@ class Capture(Value):
         folder : path
         allow_modules : bool
             Run the Python modules that the manifest names: code of its author.
+        allow_outside : bool
+            Read frames and the rig outside the folder too, links included.
 
         Raises
         ------
         InputError
             Naming the file and key at fault: a missing manifest or frame, frames of
             different sizes, a path that leaves the folder.
+
+        Warns
+        -----
+        InputWarning
+            If 16-bit files hold fewer bits, left-aligned: frames and the manifest's numbers of the
+            same scale are shifted down.  If floats are so small that nothing could be measured.
         """
         root = Path(folder)
         path = root if root.suffix.lower() == ".toml" else root / MANIFEST
@@ -247,30 +287,77 @@ class Capture(Value):
         load_modules(table.modules, path.parent, allow_modules, f"{path}: modules")
         with located(path):
             sequence = PatternSequence.from_dict(manifest["patterns"], path.parent)
-            frames = _read_frames(path.parent, table.frames)
+            files = frame_files(
+                path.parent, table.frames, sequence.n_frames, sequence.name, allow_outside
+            )
+            frames, bits = read_frames(files)
+            shift = 0
+            if table.bit_depth is None and frames.dtype == np.uint16:
+                shift = left_aligned(bits)
+            if shift:
+                warn_user(
+                    path,
+                    f"the low {shift} bits of all frames are zero: taken for {16 - shift} bit, "
+                    f"left-aligned, and shifted down (bit_depth = 16 keeps them)",
+                )
+                frames = shifted(frames, shift)
+            bit_depth: Any = table.bit_depth
+            if bit_depth is None and frames.dtype.kind != "f":
+                bit_depth = 16 - shift if shift else 8 * frames.dtype.itemsize
             pair = Pair(table.camera, table.projector)
             rig = None
             if table.rig is not None:
-                rig = read_rig(resources.inside(path.parent, table.rig), pair).pair(pair)
-            return cls(
+                rig = read_rig(allowed(path.parent, table.rig, allow_outside), pair).pair(pair)
+            noise = table.noise
+            if noise is None and frames.dtype.kind == "f":
+                noise = NoiseModel(step_dn=0.0)  # floats are not rounded to whole numbers
+            capture = cls(
                 frames,
                 sequence,
-                table.bit_depth or 8 * frames.dtype.itemsize,  # type: ignore[arg-type]
-                table.noise,
+                bit_depth,
+                _shifted_noise(noise, shift, manifest.get("noise", {})),
                 rig,
                 None if table.exposure_ms is None else table.exposure_ms * 1e-3,
-                table.saturation_dn,
-                table.min_modulation_dn,
+                # The least value that reaches it once it is shifted.
+                table.saturation_dn
+                and min(-(-table.saturation_dn >> shift), 2 ** (16 - shift) - 1),
+                table.min_modulation_dn and table.min_modulation_dn / 2**shift,
                 pair,
             )
+        if frames.dtype.kind == "f" and np.nanmax(frames) < 2.0 * capture.least_modulation_dn:
+            warn_user(
+                path,
+                f"no value is above {np.nanmax(frames):.3g}, and a modulation below "
+                f"{capture.least_modulation_dn:g} is not measured: frames of full scale 1 need a "
+                "smaller min_modulation_dn",
+            )
+        return capture
 
 
-def read_capture(folder: str | Path, *, allow_modules: bool = False) -> Capture:
+def _shifted_noise(
+    noise: NoiseModel | None, shift: int, stated: dict[str, Any]
+) -> NoiseModel | None:
+    """Return a noise model of the files' numbers for frames that were shifted down."""
+    if noise is None or not shift:
+        return noise
+    scale = 0.5**shift
+    return replace(
+        noise,
+        read_dn=scale * noise.read_dn,
+        gain_dn_per_e=scale * noise.gain_dn_per_e,
+        offset_dn=scale * noise.offset_dn,
+        step_dn=scale * noise.step_dn if "step_dn" in stated else noise.step_dn,
+    )
+
+
+def read_capture(
+    folder: str | Path, *, allow_modules: bool = False, allow_outside: bool = False
+) -> Capture:
     """Read a folder of frames with its ``capture.toml``, simulated or photographed.
 
     The function of :meth:`Capture.load`, which says what is raised.
     """
-    return Capture.load(folder, allow_modules=allow_modules)
+    return Capture.load(folder, allow_modules=allow_modules, allow_outside=allow_outside)
 
 
 def _check_sizes(rig: Rig, frames: tuple[int, ...], panel: tuple[int, int]) -> None:
@@ -300,20 +387,3 @@ def _scaled_by(frames: tuple[int, ...], camera: Camera) -> str:
             if all(0 <= b - factor * a < factor for a, b in zip(one, other, strict=True)):
                 return f", {factor} times {word}: a calibration at another resolution?"
     return ""
-
-
-def _read_frames(folder: Path, names: Sequence[str]) -> NDArray[Any]:
-    frames: NDArray[Any] | None = None
-    for k, name in enumerate(names):
-        image = read_grey(resources.inside(folder, name))
-        if frames is None:
-            frames = np.empty((len(names), *image.shape), image.dtype)
-        if image.shape != frames.shape[1:] or image.dtype != frames.dtype:
-            raise InputError(
-                name,
-                f"{frames.shape[2]} x {frames.shape[1]} px {frames.dtype} as the first frame",
-                f"{image.shape[1]} x {image.shape[0]} px {image.dtype}",
-            )
-        frames[k] = image
-    assert frames is not None  # names is not empty
-    return frames

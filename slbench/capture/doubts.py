@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,9 @@ def exposure_doubt(
     if measured.mean() >= _MEASURED:
         return None
     brightest: NDArray[Any] = capture.frames.max(axis=0)
-    top = capture.saturation_dn or 2**capture.bit_depth - 1
+    top = capture.top_dn
+    if top == inf:
+        return None
     full = np.zeros(brightest.shape, dtype=np.bool_)
     for placed in capture.sequence.placed():
         for k, frame in enumerate(placed.frames):

@@ -28,9 +28,9 @@ from slbench.capture.fusion import Alignment, FusionWeights, align, selective_we
 from slbench.capture.fusion.measures import check_window
 from slbench.capture.fusion.photographs import FusionMethod
 from slbench.capture.fusion.stack import Banded, Held
-from slbench.core import resources
+from slbench.capture.reading import FrameFile, allowed, check_alike, frame_files, shifted
 from slbench.core.errors import InputError, located
-from slbench.core.io import OutputFolder, read_grey, read_toml, write_exr, write_toml
+from slbench.core.io import OutputFolder, read_toml, write_exr, write_toml
 from slbench.core.registry import quoted
 from slbench.core.show.display import block, brief
 from slbench.core.show.drawing import figure
@@ -221,7 +221,7 @@ class FocusStack:
 
     def lit(self) -> Sequence[Array]:
         """Return the lit frames of all settings, full scale 1, read when they are asked for."""
-        return _Frames(self, self.lit_frame, 1.0 / (2 ** self.captures[0].bit_depth - 1))
+        return _Frames(self, self.lit_frame, 1.0 / (2 ** self.captures[0].depth - 1))
 
     def fuse_with(self, weights: Any, alignment: Alignment | None = None) -> FusedCapture:
         """Fuse every pattern with given weights.
@@ -238,8 +238,8 @@ class FocusStack:
             return weights.fuse(frames if alignment is None else alignment.apply(frames))
 
         first = self.captures[0]
-        scale = 2.0 ** (_BITS - first.bit_depth)
-        saturation = first.saturation_dn or 2**first.bit_depth - 1
+        scale = 2.0 ** (_BITS - first.depth)
+        saturation = first.saturation_dn or 2**first.depth - 1
         frames = np.empty((len(first.sequence.frames()), *first.frames.shape[1:]), np.uint16)
         for k in range(len(frames)):
             image = fused(k, scale)
@@ -288,13 +288,15 @@ class FocusStack:
         write_toml(root / MANIFEST, manifest)
 
     @classmethod
-    def load(cls, folder: str | Path, *, allow_modules: bool = False) -> FocusStack:
+    def load(
+        cls, folder: str | Path, *, allow_modules: bool = False, allow_outside: bool = False
+    ) -> FocusStack:
         """Open a folder with a ``stack.toml``; frames are read when they are needed.
 
         Parameters
         ----------
         folder : path
-        allow_modules : bool
+        allow_modules, allow_outside : bool
             As for :meth:`Capture.load <slbench.capture.capture.Capture.load>`.
 
         Raises
@@ -306,34 +308,40 @@ class FocusStack:
         manifest = read_toml(path)
         distances = tuple(key for key in manifest if key.endswith(_FOCUS))
         table = validated(_stack_table(distances), manifest, str(path), ": ")
-        captures = _Folders(path, table.captures, allow_modules)
+        captures = _Folders(path, table.captures, allow_modules, allow_outside)
         focus = _focus(path, {key: getattr(table, key) for key in distances}, captures[0].pair)
         return cls(captures, focus, captures.frame)
 
 
-def read_stack(folder: str | Path, *, allow_modules: bool = False) -> FocusStack:
+def read_stack(
+    folder: str | Path, *, allow_modules: bool = False, allow_outside: bool = False
+) -> FocusStack:
     """Open a folder of captures with its ``stack.toml``.
 
     The function of :meth:`FocusStack.load`, which says what is raised.
     """
-    return FocusStack.load(folder, allow_modules=allow_modules)
+    return FocusStack.load(folder, allow_modules=allow_modules, allow_outside=allow_outside)
 
 
 class _Folders(Sequence[Capture]):
     """Captures on disk, alike by their manifests; the first is kept."""
 
-    def __init__(self, path: Path, names: Sequence[str], allow_modules: bool) -> None:
-        self._allow = allow_modules
-        self._folders = [resources.inside(path.parent, name) for name in names]
-        self._first = Capture.load(self._folders[0], allow_modules=allow_modules)
-        self._frames: list[list[str]] = []
+    def __init__(
+        self, path: Path, names: Sequence[str], allow_modules: bool, allow_outside: bool
+    ) -> None:
+        self._allow = {"allow_modules": allow_modules, "allow_outside": allow_outside}
+        self._folders = [allowed(path.parent, name, allow_outside) for name in names]
+        self._first = Capture.load(self._folders[0], **self._allow)
+        self._shift = 0
+        self._frames: list[list[FrameFile]] = []
         alike: dict[str, Any] = {}
+        patterns = self._first.sequence
         for name, folder in zip(names, self._folders, strict=True):
             manifest = read_toml(folder / CAPTURE_MANIFEST)
-            frames = manifest.pop("frames", None)
-            if not isinstance(frames, list) or len(frames) != len(self._first.frames):
-                expected = f"{len(self._first.frames)} frames, as the first capture"
-                raise InputError(f"{path}: {name}", expected, repr(frames)[:60])
+            entries = manifest.pop("frames", None)
+            texts = [entries] if isinstance(entries, str) else entries
+            if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts):
+                raise InputError(f"{path}: {name}: frames", "files, a list", repr(entries)[:60])
             manifest.pop("rig", None)  # differs in its focus
             alike = alike or manifest
             for key in sorted({*alike, *manifest}):
@@ -341,7 +349,13 @@ class _Folders(Sequence[Capture]):
                     where = f"{path}: {name}: {key}"
                     got = repr(manifest.get(key))[:60]
                     raise InputError(where, "what the first capture has", got)
-            self._frames.append(frames)
+            with located(f"{path}: {name}"):
+                count = patterns.n_frames
+                files = frame_files(folder, texts, count, patterns.name, allow_outside)
+            self._frames.append(files)
+        if "bit_depth" not in alike and self._first.bit_depth not in (None, 16):
+            deep = self._frames[0][0].read()[0].dtype == np.uint16  # of fewer bits, left-aligned
+            self._shift = 16 - self._first.depth if deep else 0
 
     def __len__(self) -> int:
         return len(self._folders)
@@ -349,19 +363,17 @@ class _Folders(Sequence[Capture]):
     def __getitem__(self, index: Any) -> Any:
         if index == 0:
             return self._first
-        return Capture.load(self._folders[index], allow_modules=self._allow)
+        return Capture.load(self._folders[index], **self._allow)
 
     def frame(self, setting: int, index: int) -> NDArray[Any]:
         """Read one frame."""
-        path = resources.inside(self._folders[setting], self._frames[setting][index])
-        image = read_grey(path)
-        expected = self._first.frames
-        if image.shape != expected.shape[1:] or image.dtype != expected.dtype:
-            raise InputError(
-                path,
-                f"{expected.shape[2]} x {expected.shape[1]} px {expected.dtype}, as the first",
-                f"{image.shape[1]} x {image.shape[0]} px {image.dtype}",
-            )
+        file = self._frames[setting][index]
+        image, bits = file.read()
+        if bits & ((1 << self._shift) - 1):
+            expected = f"left-aligned values of {16 - self._shift} bit, as the first capture's"
+            raise InputError(file.path, expected, f"the bits {bits:#06x}")
+        image = shifted(image, self._shift)
+        check_alike(file.path, image, self._first.frames)
         return image
 
 

@@ -34,6 +34,10 @@ AllowModules = Annotated[
         "--allow-modules", help="Run the Python modules that the file names: its author's code."
     ),
 ]
+AllowOutside = Annotated[
+    bool,
+    typer.Option("--allow-outside", help="Read a capture's files outside its folder, and links."),
+]
 
 
 def listed(text: str, registry: Registry[Any], option: str) -> list[str]:

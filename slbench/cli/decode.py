@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, MinModulation, print_json
+from slbench.cli.common import AllowModules, AllowOutside, Json, MinModulation, print_json
 from slbench.cli.lazy import command
 
 
@@ -23,6 +23,7 @@ def decode(
     rig: Annotated[Path | None, typer.Option(help="Rig (OpenCV YAML) to triangulate with.")] = None,
     min_modulation: MinModulation = None,
     allow_modules: AllowModules = False,
+    allow_outside: AllowOutside = False,
     as_json: Json = False,
 ) -> None:
     """Decode frames from disk; triangulate where a rig is known.
@@ -35,7 +36,7 @@ def decode(
 
     target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
     DECODED_FOLDER.check(target, "--out")
-    shots = Capture.load(folder, allow_modules=allow_modules)
+    shots = Capture.load(folder, allow_modules=allow_modules, allow_outside=allow_outside)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig, shots.pair))
     decoded = decode_capture(shots, min_modulation=min_modulation, where=folder)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, print_json, print_table, progress
+from slbench.cli.common import AllowModules, AllowOutside, Json, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 from slbench.core.validation.types import Interval
@@ -49,6 +49,7 @@ def fuse(
     ] = "corrected",
     window: Annotated[Window, typer.Option(help="Window of the measure, pixels, odd.")] = 9,
     allow_modules: AllowModules = False,
+    allow_outside: AllowOutside = False,
     as_json: Json = False,
 ) -> None:
     """Fuse photographs of different focus into one all in focus.
@@ -68,7 +69,7 @@ def fuse(
             raise InputError("--out", "a folder outside the stack's", out)
         FUSED_FOLDER.check(out, "--out")
         # Ahead of the measure's name, which a module of the stack may have added.
-        stack = FocusStack.load(folder, allow_modules=allow_modules)
+        stack = FocusStack.load(folder, allow_modules=allow_modules, allow_outside=allow_outside)
     if method == "modulation":
         if stack is None:
             expected = "saf, maximum or pyramid, as these are photographs"

@@ -110,8 +110,8 @@ def score_fusion(
     middle = len(stack) // 2
     squares = {name: np.zeros(smooth.shape) for name in ("fused", "middle")}
     phases: dict[str, list[Array]] = {"true": [], "fused": [], "middle": []}
-    top = 2.0 ** stack.captures[0].bit_depth - 1.0
-    scale = 2.0 ** (fused.capture.bit_depth - stack.captures[0].bit_depth)
+    top = 2.0 ** stack.captures[0].depth - 1.0
+    scale = 2.0 ** (fused.capture.depth - stack.captures[0].depth)
     for k, true in expected:
         shown = {
             "fused": fused.capture.frames[k] / scale,

@@ -199,6 +199,6 @@ def _fused_frames(
             alone = replace(scene, sequence=PatternSequence(panel, (Flat(1.0), part)))
             stack = capture_stack(alone, transports, seed=tagged_seed(seed, r))
             shots = stack.fuse(weights).capture
-            scale = 2.0 ** (scene.detector.bit_depth - shots.bit_depth)
+            scale = 2.0 ** (scene.detector.bit_depth - shots.depth)
             values.append(scale * shots.frames[1:].reshape(len(shots.frames) - 1, -1)[:, pixels])
         yield np.concatenate(values)

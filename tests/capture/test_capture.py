@@ -480,7 +480,8 @@ def test_a_rig_of_other_sizes_is_refused(part, said, tmp_path):
     ("frames", "bits"),
     [
         (np.zeros((3, 4), np.uint8), 8),
-        (np.zeros((3, 4, 5)), 8),
+        (np.zeros((3, 4, 5), np.int32), 8),
+        (np.zeros((3, 4, 5), np.uint16), None),
         (np.zeros((3, 0, 5), np.uint8), 8),
         (np.zeros((4, 4, 5), np.uint8), 8),
         (np.zeros((3, 4, 5), np.uint8), 7),

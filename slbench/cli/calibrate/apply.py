@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, MinModulation, print_json
+from slbench.cli.common import AllowModules, AllowOutside, Json, MinModulation, print_json
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError, warn_user
 
@@ -24,6 +24,7 @@ def apply(
     ] = False,
     min_modulation: MinModulation = None,
     allow_modules: AllowModules = False,
+    allow_outside: AllowOutside = False,
     as_json: Json = False,
 ) -> None:
     """Decode frames; turn every pixel into a point by a model."""
@@ -37,7 +38,8 @@ def apply(
 
     check_output_file(out, (".ply",))
     calibration = CalibrationModel.load(model)
-    phase = Capture.load(capture, allow_modules=allow_modules).decode(min_modulation=min_modulation)
+    shots = Capture.load(capture, allow_modules=allow_modules, allow_outside=allow_outside)
+    phase = shots.decode(min_modulation=min_modulation)
     measured = measure(calibration, phase)
     outside = int(np.count_nonzero(measured.extrapolated))
     decoded = len(measured.cloud)

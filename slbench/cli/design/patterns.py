@@ -8,7 +8,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, Preview, Seed, print_json, print_table, progress
+from slbench.cli.common import (
+    AllowModules,
+    AllowOutside,
+    Json,
+    Preview,
+    Seed,
+    print_json,
+    print_table,
+    progress,
+)
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 from slbench.core.validation.types import (
@@ -123,6 +132,7 @@ def patterns(
     seed: Seed = 0,
     preview: Preview = False,
     allow_modules: AllowModules = False,
+    allow_outside: AllowOutside = False,
     as_json: Json = False,
 ) -> None:
     """Design the fringe sets that the phase noise of a system needs."""
@@ -162,7 +172,8 @@ def patterns(
     loaded = (
         None if scene is None else load_scene(scene, preview=preview, allow_modules=allow_modules)
     )
-    shots = [Capture.load(folder, allow_modules=allow_modules) for folder in capture or ()]
+    allowances = {"allow_modules": allow_modules, "allow_outside": allow_outside}
+    shots = [Capture.load(folder, **allowances) for folder in capture or ()]
     side = "uv".index(axis)
     widths = [loaded.rig.projector.width] if loaded else [s.sequence.panel[side] for s in shots[:1]]
     width = _width(width_px, widths)

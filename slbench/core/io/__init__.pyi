@@ -9,11 +9,14 @@ from .atomic import check_output_file as check_output_file
 from .atomic import check_writable as check_writable
 from .folders import OutputFolder as OutputFolder
 from .folders import files_beside as files_beside
+from .images import page_count as page_count
 from .images import read_colour as read_colour
 from .images import read_exr as read_exr
+from .images import read_frame as read_frame
 from .images import read_grey as read_grey
 from .images import write_exr as write_exr
 from .images import write_png as write_png
+from .images import write_tiff as write_tiff
 from .opencv_yaml import OtherEntry as OtherEntry
 from .opencv_yaml import read_opencv_yaml as read_opencv_yaml
 from .opencv_yaml import write_opencv_yaml as write_opencv_yaml

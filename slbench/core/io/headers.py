@@ -76,18 +76,63 @@ def _jpeg(content: bytes) -> Header:
 #: Bytes of TIFF's types of whole numbers: BYTE, SHORT, LONG and LONG8.
 _TIFF_WHOLE = {1: "B", 3: "H", 4: "I", 16: "Q"}
 _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_SAMPLES = 256, 257, 258, 277
-_TIFF_TAGS = (_TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_SAMPLES)
+#: What a page is: 1 is a smaller copy of another.
+_TIFF_SUBFILE = 254
+_TIFF_TAGS = (_TIFF_SUBFILE, _TIFF_WIDTH, _TIFF_HEIGHT, _TIFF_BITS, _TIFF_SAMPLES)
+_TIFFS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_MOST_PAGES = 65536
+
+
+def tiff_pages(content: bytes) -> list[Header | None] | None:
+    """Read the sizes of a TIFF's pages.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file.
+
+    Returns
+    -------
+    list of Header or None
+        One a page in the file's order, None for smaller copies of others (previews); None for
+        what is no TIFF, or a damaged one.
+    """
+    if not any(content.startswith(signature) for signature in _TIFFS):
+        return None
+    order, big, start = _tiff_start(content)
+    pages: list[Header | None] = []
+    seen = set()
+    try:
+        while start and start not in seen and len(pages) < _MOST_PAGES:
+            seen.add(start)
+            header, reduced, start = _tiff_page(content, order, big, start)
+            pages.append(None if reduced and pages else header)
+    except (struct.error, IndexError, KeyError, ValueError, OverflowError):
+        # The first page is all that a reader of one picture needs.
+        return pages or None
+    return pages
 
 
 def _tiff(content: bytes) -> Header:
+    return _tiff_page(content, *_tiff_start(content))[0]
+
+
+def _tiff_start(content: bytes) -> tuple[str, bool, int]:
+    """Return byte order, whether it is a BigTIFF, and where the first page's directory is."""
     order = "<" if content[:2] == b"II" else ">"
     big = content[2:4] in (b"+\0", b"\0+")
     (start,) = struct.unpack_from(order + ("Q" if big else "I"), content, 8 if big else 4)
+    return order, big, start
+
+
+def _tiff_page(content: bytes, order: str, big: bool, start: int) -> tuple[Header, bool, int]:
+    """Return a page's header, whether it is a smaller copy, and where the next directory is."""
     (count,) = struct.unpack_from(order + ("Q" if big else "H"), content, start)
     length, value_at = (20, 12) if big else (12, 8)
-    tags = {_TIFF_BITS: 1, _TIFF_SAMPLES: 1}
+    tags = {_TIFF_BITS: 1, _TIFF_SAMPLES: 1, _TIFF_SUBFILE: 0}
+    first = start + (8 if big else 2)
     for k in range(min(count, 4096)):
-        entry = start + (8 if big else 2) + k * length
+        entry = first + k * length
         tag, kind = struct.unpack_from(order + "HH", content, entry)
         (items,) = struct.unpack_from(order + ("Q" if big else "I"), content, entry + 4)
         if tag not in _TIFF_TAGS:
@@ -99,7 +144,14 @@ def _tiff(content: bytes) -> Header:
         (tags[tag],) = struct.unpack_from(form, content, at)
     samples = tags[_TIFF_SAMPLES]
     pixel_bytes = (1 if samples == 1 else max(4, samples)) * max(1, tags[_TIFF_BITS] // 8)
-    return Header(tags[_TIFF_WIDTH], tags[_TIFF_HEIGHT], pixel_bytes)
+    header = Header(tags[_TIFF_WIDTH], tags[_TIFF_HEIGHT], pixel_bytes)
+    try:
+        (behind,) = struct.unpack_from(
+            order + ("Q" if big else "I"), content, first + count * length
+        )
+    except (struct.error, OverflowError):
+        behind = 0
+    return header, bool(tags[_TIFF_SUBFILE] & 1), behind
 
 
 _NETPBM = re.compile(rb"P[1-6](?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
@@ -115,10 +167,7 @@ def _netpbm(content: bytes) -> Header:
 _KINDS = {
     b"\x89PNG\r\n\x1a\n": _png,
     b"\xff\xd8": _jpeg,
-    b"II*\0": _tiff,
-    b"MM\0*": _tiff,
-    b"II+\0": _tiff,
-    b"MM\0+": _tiff,
+    **dict.fromkeys(_TIFFS, _tiff),
     b"BM": _bmp,
     **{b"P%d" % kind: _netpbm for kind in range(1, 7)},
 }

@@ -17,10 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.core.io.atomic import atomic_path, describe, existing, native_writing, write_bytes
 from slbench.core.io.bounds import check_image, check_size
-from slbench.core.io.headers import image_header
+from slbench.core.io.headers import image_header, tiff_pages
 
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_TIFF_SUFFIXES = (".tif", ".tiff")
 #: Bytes of an image file, which OpenCV counts in 31 bits.
 _LARGEST = 2**31 - 1
 
@@ -160,11 +161,113 @@ def read_grey(path: str | Path) -> NDArray[Any]:
     InputError
         If the file is missing, corrupt, or not of 8 or 16 bit.
     """
-    image = _decoded(path)
-    if image.ndim == 3:
-        from_colour = cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY
-        image = cv2.cvtColor(image, from_colour)
-    return image
+    return _grey(_decoded(path))
+
+
+def _grey(image: NDArray[Any]) -> NDArray[Any]:
+    if image.ndim == 2:
+        return image
+    if image.dtype == np.float64:  # which OpenCV does not turn to grey
+        return 0.299 * image[:, :, 2] + 0.587 * image[:, :, 1] + 0.114 * image[:, :, 0]
+    from_colour = cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY
+    return cv2.cvtColor(image, from_colour)
+
+
+def page_count(path: str | Path) -> int:
+    """Return the pages of a TIFF, by its suffix; 1 for all other files and those that are none.
+
+    Smaller copies of a page (previews) are none.
+
+    Raises
+    ------
+    InputError
+        If the file is missing or too large.
+    """
+    path = existing(path)
+    if path.suffix.lower() not in _TIFF_SUFFIXES:
+        return 1
+    check_size(path, _LARGEST, "an image")
+    pages = tiff_pages(path.read_bytes())
+    return 1 if pages is None else sum(page is not None for page in pages)
+
+
+def read_frame(
+    path: str | Path, *, page: int = 0, channel: str | None = None
+) -> tuple[NDArray[Any], int]:
+    """Read a camera's frame as grey values or one channel: what `read_grey` reads, floats, EXR.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    page : int
+        Of a TIFF, from 0; previews are not counted.
+    channel : {"r", "g", "b"}, optional
+        Of a colour picture; by default colour becomes luma as in :func:`read_grey`.
+
+    Returns
+    -------
+    frame : (V, U) ndarray of uint8, uint16, float32 or float64
+        Digital numbers.
+    bits : int
+        All bits that any value of the file uses, before colour becomes luma; 0 for floats.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, corrupt, of another type, has no such page, or no colours where a
+        channel is asked for.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".exr":
+        image = _exr_frame(path)
+    else:
+        image = _decoded(path, page, (np.uint8, np.uint16, np.float32, np.float64))
+    if channel is not None:
+        if image.ndim == 2:
+            raise InputError(f"{path}#{channel}", "a colour picture", "a grey one")
+        image = np.ascontiguousarray(image[:, :, "bgr".index(channel)])
+    bits = 0 if image.dtype.kind == "f" else int(np.bitwise_or.reduce(image, axis=None))
+    return _grey(image), bits
+
+
+def _exr_frame(path: Path) -> NDArray[Any]:
+    """Return an EXR's pixels as :func:`_decoded` does: its one channel, or B, G, R."""
+    channels = read_exr(path)
+    names = list(channels)
+    if {"R", "G", "B"} <= channels.keys():
+        names = ["B", "G", "R"]
+    elif len(names) != 1:
+        raise InputError(path, "one channel, or R, G and B", ", ".join(names))
+    if any(channels[name].dtype != np.float32 for name in names):
+        raise InputError(path, "channels of floats", "whole numbers")
+    images = [channels[name] for name in names]
+    return images[0] if len(images) == 1 else np.stack(images, axis=-1)
+
+
+def write_tiff(path: str | Path, image: ArrayLike) -> None:
+    """Write a grey image of floats, which keep every bit.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file; its suffix must be ``.tif`` or ``.tiff``.
+    image : (V, U) ndarray of float32 or float64
+
+    Raises
+    ------
+    InputError
+        If the suffix, the shape or the type is not as above.
+    """
+    path, pixels = Path(path), np.asarray(image)
+    if path.suffix.lower() not in _TIFF_SUFFIXES:
+        raise InputError(path, "a name that ends in .tif", repr(path.suffix))
+    if pixels.ndim != 2 or pixels.size == 0 or pixels.dtype not in (np.float32, np.float64):
+        raise InputError(path, "a (V, U) image of float32 or float64", describe(pixels))
+    ok, encoded = cv2.imencode(".tif", np.ascontiguousarray(pixels))
+    if not ok:
+        raise InputError(path, "an image that TIFF can hold", describe(pixels))
+    write_bytes(path, encoded.tobytes())
 
 
 def read_colour(path: str | Path) -> NDArray[Any]:
@@ -196,12 +299,20 @@ def read_colour(path: str | Path) -> NDArray[Any]:
     return np.ascontiguousarray(image[:, :, 2::-1])  # OpenCV has blue first
 
 
-def _decoded(path: str | Path) -> NDArray[Any]:
+def _decoded(
+    path: str | Path, page: int = 0, types: tuple[type, ...] = (np.uint8, np.uint16)
+) -> NDArray[Any]:
     """Return an image file's pixels as OpenCV has them: (V, U), or (V, U, 3 or 4), blue first."""
     path = existing(path)
     check_size(path, _LARGEST, "an image")
     content = path.read_bytes()
-    header = image_header(content)
+    header, at = image_header(content), 0
+    if page:
+        pages = tiff_pages(content) or []
+        sound = [k for k, one in enumerate(pages) if one is not None]
+        if page >= len(sound):
+            raise InputError(path, f"a page {page}, counted from 0", f"{max(1, len(sound))} pages")
+        header, at = pages[sound[page]], sound[page]
     if header is None:
         expected = "an image file (PNG, TIFF, BMP, JPEG or PGM)"
         raise InputError(path, expected, "another kind, or a damaged header")
@@ -212,13 +323,20 @@ def _decoded(path: str | Path) -> NDArray[Any]:
         raise InputError(path, "an image file", "a PNG that is cut off or damaged")
     encoded = np.frombuffer(content, dtype=np.uint8)
     try:
-        image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
+        if at:
+            _, found = cv2.imdecodemulti(encoded, cv2.IMREAD_UNCHANGED, range=(at, at + 1))
+            image = found[0] if found else None
+        else:
+            image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise InputError(path, "an image file", f"a corrupt one ({error})") from error
     if image is None:
         raise InputError(path, "an image file", "one that cannot be decoded")
-    if image.dtype not in (np.uint8, np.uint16):
-        raise InputError(path, "an image of 8 or 16 bit", describe(image))
+    if image.dtype not in types:
+        kinds = "8 or 16 bit" if len(types) == 2 else "8 or 16 bit, or floats"
+        raise InputError(path, f"an image of {kinds}", describe(image))
+    if image.ndim == 3 and image.shape[2] not in (3, 4):
+        raise InputError(path, "a grey or colour image", describe(image))
     return image
 
 

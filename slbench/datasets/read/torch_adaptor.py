@@ -62,7 +62,7 @@ def tensors(sample: Sample, shots: Capture) -> dict[str, Any]:
     truth = sample.truth
     panel = np.nan_to_num(np.moveaxis(truth.panel, -1, 0)).astype(np.float32)
     return {
-        "frames": torch.from_numpy(shots.frames.astype(np.float32) / (2**shots.bit_depth - 1)),
+        "frames": torch.from_numpy(shots.frames.astype(np.float32) / (2**shots.depth - 1)),
         "depth": torch.from_numpy(np.nan_to_num(truth.depth).astype(np.float32)),
         "panel": torch.from_numpy(panel),
         "lit": torch.from_numpy(truth.lit),

@@ -289,7 +289,7 @@ def noise_of_captures(
         shape = captures[0].frames.shape[1:]
         wave, power, valid = np.zeros(shape, complex), np.zeros(shape), np.ones(shape, bool)
         for shot in captures:
-            top = shot.saturation_dn or 2**shot.bit_depth - 1
+            top = shot.top_dn
             frames = shot.frames[own.frames]
             valid &= (frames < top).all(axis=0)
             phase, modulation, _ = own.code.relative_phase(frames, panel)
