@@ -12,7 +12,7 @@ from slbench.capture.capture import Capture, read_capture
 from slbench.capture.reading import left_aligned
 from slbench.capture.stack import FocusStack
 from slbench.core.errors import InputError, InputWarning
-from slbench.core.io import page_count, write_exr, write_png, write_tiff
+from slbench.core.io import page_count, read_frame, write_exr, write_png, write_tiff
 from slbench.patterns import PatternSequence
 
 WIDTH, HEIGHT = 96, 8
@@ -237,3 +237,42 @@ def test_a_focus_stack_reads_as_a_capture_does(tmp_path):
     write_png(tmp_path / "b" / "3.png", numbers[3])  # at the bottom
     with pytest.raises(InputError, match="left-aligned values of 12 bit"):
         stack.frame(1, 3)
+
+
+def test_a_smaller_copy_in_a_tiff_is_no_page(tmp_path):
+    """Cameras put previews beside pictures: page 1 of the file is none, page 2 is the second."""
+    pages = [frames8()[0], frames8()[0][::2, ::2], frames8()[1]]
+    ok, encoded = cv2.imencodemulti(".tif", pages)
+    assert ok
+    content = bytearray(encoded.tobytes())
+    # The second directory's NewSubfileType (tag 254, LONG): 1 is a smaller copy (TIFF 6.0).
+    at = int.from_bytes(content[4:8], "little")
+    for page in range(2):
+        count = int.from_bytes(content[at : at + 2], "little")
+        entries = {
+            int.from_bytes(content[e : e + 2], "little"): e
+            for e in range(at + 2, at + 2 + 12 * count, 12)
+        }
+        if page == 1:
+            assert 254 in entries
+            content[entries[254] + 8] = 1
+        at = int.from_bytes(content[at + 2 + 12 * count : at + 6 + 12 * count], "little")
+    (tmp_path / "stack.tif").write_bytes(bytes(content))
+    assert page_count(tmp_path / "stack.tif") == 2
+    for page in (0, 1):
+        np.testing.assert_array_equal(
+            read_frame(tmp_path / "stack.tif", page=page)[0], frames8()[page]
+        )
+
+
+def test_a_ring_of_pages_has_an_end(tmp_path):
+    ok, encoded = cv2.imencodemulti(".tif", list(frames8()[:2]))
+    assert ok
+    content = bytearray(encoded.tobytes())
+    at = start = int.from_bytes(content[4:8], "little")
+    for _ in range(2):
+        link = at + 2 + 12 * int.from_bytes(content[at : at + 2], "little")
+        at = int.from_bytes(content[link : link + 4], "little")
+    content[link : link + 4] = start.to_bytes(4, "little")
+    (tmp_path / "ring.tif").write_bytes(bytes(content))
+    assert page_count(tmp_path / "ring.tif") == 2
