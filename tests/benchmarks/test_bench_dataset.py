@@ -17,6 +17,7 @@ from slbench.datasets.manifest import Manifest
 from slbench.datasets.store import index, shards
 from slbench.datasets.store.sample import RIG, SCENE, TRANSPORT, TRUTH, from_folder, write_transport
 from slbench.datasets.store.storage import Storage
+from slbench.rig import Rig
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene
 from slbench.scene.truth import GroundTruth
@@ -140,3 +141,19 @@ def test_captures_a_second(made):
     # About 4 and 3 on two cores: tracing is saved, reading costs a part of what is left.
     assert scans / memory > 2.0
     assert scans / shard > 1.5
+
+
+def test_light_out_of_focus_takes_no_more_bytes(made, tmp_path):
+    """Nodes of blurred panels are as few out of focus as in."""
+    _, scene, light = made
+    lens = replace(scene.rig.projector.lens, focus_distance_mm=400.0)
+    rig = Rig(scene.rig.camera, replace(scene.rig.projector, lens=lens))
+    blurred = trace(replace(scene, rig=rig), seed=0)
+    sizes = []
+    for name, transport in (("in", light), ("out", blurred)):
+        write_transport(tmp_path / f"{name}.npz", transport)
+        sizes.append((tmp_path / f"{name}.npz").stat().st_size)
+    pixels = light.ambient.size
+    print(f"\nbytes a pixel: {sizes[0] / pixels:.1f} in focus, {sizes[1] / pixels:.1f} out of it")
+    assert sizes[1] <= sizes[0]
+    assert sizes[0] <= 13 * pixels

@@ -6,6 +6,7 @@ several runs the fastest counts: what disturbs a run only ever makes it slower.
 """
 
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from slbench import objects
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
 from slbench.rig.spread import Spread
+from slbench.scene.file import load_scene
 from slbench.scene.model import Scene, SceneObject
 from slbench.simulate.footprints import Levels
 from slbench.simulate.render import current
@@ -94,6 +96,43 @@ def test_a_scan_costs_at_most_two_renders(benchmark, scene, profiles, render):
     benchmark.extra_info |= {"one_render_s": one_render, "ratio": one_scan / one_render}
     print(f"\n36 patterns of 640 x 480: {one_scan:.3f} s, one render {one_render:.3f} s")
     assert one_scan <= 2.0 * one_render
+
+
+def test_a_scan_at_default_samples_costs_less_than_a_render(scene, render):
+    """With diffraction and blur of the shipped rig; the render is of thin lenses, 64 samples."""
+    shipped = load_scene("step-block").with_patterns("1,10,50@12")
+    profiles = shipped.sequence.profiles("u")[1]
+
+    def scan():
+        return trace(shipped).relight(profiles)
+
+    assert scan().shape == (PATTERNS, 480, 640)
+    one_scan, one_render = compare(scan, render, 0.7)
+    print(
+        f"\n36 patterns at {shipped.samples} samples: {one_scan:.3f} s, one render of {SAMPLES} "
+        f"{one_render:.3f} s, ratio {one_scan / one_render:.2f}"
+    )
+    assert one_scan <= 0.7 * one_render
+
+
+@pytest.mark.parametrize("circle_px", [40.0, 80.0])
+def test_light_out_of_focus_costs_little_more(circle_px):
+    """The panel is blurred once a level, however wide: three times the focused trace at most."""
+    sharp = load_scene("step-block")
+    lens = sharp.rig.projector.lens
+    # The circle on the panel is 2 a |c / d - c / f| over the pitch.
+    pitch, reach = sharp.rig.projector.pitch_mm[0], lens.focus_distance_mm
+    change = circle_px * pitch / (2.0 * lens.aperture_radius_mm * lens.focal_length_mm)
+    focus = 1.0 / (1.0 / reach + change)
+    own = replace(lens, focus_distance_mm=float(focus))
+    rig = Rig(sharp.rig.camera, replace(sharp.rig.projector, lens=own))
+    blurred = replace(sharp, rig=rig)
+    circle = blurred.rig.projector.circle_of_confusion(np.zeros((1, 3)))
+    assert np.all(np.abs(circle - circle_px) < 0.3 * circle_px)
+    trace(sharp), trace(blurred)
+    wide, focused = compare(lambda: trace(blurred), lambda: trace(sharp), 3.0)
+    print(f"\na circle of {circle_px:g} px: {wide / focused:.2f} of the focused trace")
+    assert wide <= 3.0 * focused
 
 
 def test_a_further_pattern_costs_at_most_a_fiftieth_of_a_render(benchmark, scene, profiles, render):
