@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +23,19 @@ def decode(
     ] = None,
     rig: Annotated[Path | None, typer.Option(help="Rig (OpenCV YAML) to triangulate with.")] = None,
     min_modulation: MinModulation = None,
+    max_order_residual: Annotated[
+        float | None,
+        typer.Option(
+            help="Largest residual of a fringe order that is believed, turns, at most 0.5.  "
+            "[default: the capture's]"
+        ),
+    ] = None,
+    page: Annotated[
+        Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
+    ] = None,
+    picture: Annotated[
+        bool, typer.Option("--picture/--no-picture", help="Draw summary.png.")
+    ] = True,
     allow_modules: AllowModules = False,
     allow_outside: AllowOutside = False,
     as_json: Json = False,
@@ -39,12 +53,30 @@ def decode(
     shots = Capture.load(folder, allow_modules=allow_modules, allow_outside=allow_outside)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig, shots.pair))
-    decoded = decode_capture(shots, min_modulation=min_modulation, where=folder)
-    decoded.save(target, {"folder": str(folder), "rig": str(rig) if rig else None})
-    result = decoded.to_dict()
+    if page is not None:
+        from slbench.report.page import check_page_path
+
+        check_page_path(page)
+    decoded = decode_capture(
+        shots, min_modulation=min_modulation, max_order_residual=max_order_residual, where=folder
+    )
+    parameters = {"folder": str(folder), "rig": str(rig) if rig else None}
+    files = {}
+    if picture:
+        from slbench.report.plots.decoded import write_decoded_picture
+
+        files["summary.png"] = partial(write_decoded_picture, decoded)
+    decoded.save(target, parameters, files)
+    if page is not None:
+        from slbench.report.page import write_page
+        from slbench.report.pages.decoded import decoded_page
+
+        write_page(decoded_page(decoded, parameters), page)
     if as_json:
-        print_json(result | {"out": str(target)})
+        written = {"out": str(target)} | ({} if page is None else {"report": str(page)})
+        print_json(decoded.to_dict() | written)
         return
-    for key, value in result.items():
-        print(f"{key}: {'-' if value is None else value}")
-    print(f"Written to {target}")
+    for name, value in decoded.rows():
+        print(f"{name}: {value}")
+    shown = page or (target / "summary.png" if picture else None)
+    print(f"Written to {target}" + (f": open {shown}" if shown else ""))

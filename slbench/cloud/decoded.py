@@ -1,23 +1,33 @@
-"""What decoding a capture gives: panel coordinates, and points where its rig is known."""
+"""What decoding a capture gives: panel coordinates, and points where its rig is known.
+
+Beside them stands what they are judged by: by which rule pixels were dropped, residuals, the kind
+of noise that deviations come from, how far rays miss each other, and warnings.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture
 from slbench.capture.doubts import exposure_doubt
+from slbench.capture.manifest import manifest_doubts
+from slbench.capture.noise import NoiseKind, noise_of
+from slbench.cloud.gaps import RayGap, lost_points, ray_gap, rig_doubts
 from slbench.cloud.triangulation import PointCloud, triangulate
 from slbench.core.errors import warn_user
 from slbench.core.io import OutputFolder, write_exr, write_json, write_ply
-from slbench.core.show.display import brief
-from slbench.patterns import PhaseMap
+from slbench.core.show.display import brief, length
+from slbench.patterns import NoiseModel, PhaseMap, Rule
 
-DECODED_FOLDER = OutputFolder("decoded capture", ("phase.exr", "cloud.ply", "decode.json"))
+DECODED_FOLDER = OutputFolder(
+    "decoded capture", ("phase.exr", "cloud.ply", "decode.json", "summary.png")
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +38,29 @@ class Decoded:
     ----------
     capture : Capture
     phase : PhaseMap
+        With its evidence.
     cloud : PointCloud or None
         None without a rig.
+    noise : NoiseModel
+        What the deviations are predicted from.
+    noise_kind : {"stated", "measured", "lower bound"}
+        Where it comes from; by "lower bound" it is rounding alone.
+    lost : dict
+        Decoded pixels without a point, by reason (:func:`slbench.cloud.gaps.lost_points`).
+    gap : RayGap or None
+        Where both axes are coded and the rig is known.
+    warnings : tuple of str
+        What is probably wrong with the capture or its rig, a sentence each.
     """
 
     capture: Capture
     phase: PhaseMap
     cloud: PointCloud | None
+    noise: NoiseModel
+    noise_kind: NoiseKind
+    lost: dict[str, int]
+    gap: RayGap | None
+    warnings: tuple[str, ...]
 
     __repr__ = brief
 
@@ -47,9 +73,93 @@ class Decoded:
             "valid_pixels": int(np.count_nonzero(self.phase.mask)),
             "points": None if cloud is None else len(cloud),
             "predicted_sigma_mm": float(np.median(cloud.sigma_total_mm)) if cloud else None,
+            "noise": self.noise_kind,
+            "noise_model": asdict(self.noise),
+            "dropped": self.dropped,
+            "order_residual": self._residuals("order_residual"),
+            "fit_residual_dn": self._residuals("fit_residual_dn"),
+            "ray_gap": None
+            if self.gap is None
+            else {"mm": _quantiles(self.gap.mm), "deviations": _quantiles(self.gap.deviations)},
+            "points_dropped": self.lost,
+            "warnings": list(self.warnings),
         }
 
-    def save(self, folder: str | Path, parameters: Mapping[str, Any]) -> None:
+    def rows(self) -> list[tuple[str, str]]:
+        """Return name and value of what people read first."""
+        kind = {"measured": " (measured noise)", "lower bound": " (lower bound: rounding alone)"}
+        values = self.to_dict()
+        names = ("patterns", "frames", "valid_pixels", "points")
+        rows = [(name, "-" if values[name] is None else str(values[name])) for name in names]
+        sigma = values["predicted_sigma_mm"]
+        rows.append(
+            (
+                "predicted_sigma_mm",
+                "-" if sigma is None else f"{sigma}{kind.get(self.noise_kind, '')}",
+            )
+        )
+        rows.append(("noise", self.noise_kind))
+        dropped = [f"{name} {count}" for name, count in self.dropped.items() if count]
+        rows.append(("dropped", ", ".join(dropped) or "none"))
+        lost = [f"{name} {count}" for name, count in self.lost.items() if count]
+        if lost:
+            rows.append(("points_dropped", ", ".join(lost)))
+        for table in values["order_residual"]:
+            if table["beyond_quarter_turn"] is not None:
+                share = f"{100 * table['beyond_quarter_turn']:.3g} % beyond a quarter turn"
+                rows.append((f"order_residual of parts[{table['part']}]", share))
+        for table in values["fit_residual_dn"]:
+            if table["p50"] is not None:
+                median = f"{table['p50']:.3g} DN (median)"
+                rows.append((f"fit_residual of parts[{table['part']}]", median))
+        if self.gap is not None:
+            mm, own = (float(np.median(np.abs(x))) for x in (self.gap.mm, self.gap.deviations))
+            rows.append(("ray_gap", f"{length(mm)}, {own:.3g} deviations (median)"))
+        return rows
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """Pixels without a coordinate, by rule."""
+        assert self.phase.dropped is not None
+        counts = np.bincount(self.phase.dropped.ravel(), minlength=len(Rule))
+        return {rule.name.lower(): int(counts[rule]) for rule in Rule if rule != Rule.KEPT}
+
+    @property
+    def grey(self) -> NDArray[np.float64]:
+        """Grey value of every point, DN: of the lit frame, or the mean of the last frames."""
+        if self.cloud is None:
+            return np.empty(0)
+        u, v = self.cloud.pixels.T
+        lit = self.capture.sequence.lit_frame
+        image = self.phase.mean if lit is None else self.capture.frames[lit]
+        return np.asarray(image[v, u], dtype=np.float64)
+
+    def _residuals(self, name: str) -> list[dict[str, Any]]:
+        """Return the quantiles of one kind of evidence, a table for every part that has it.
+
+        They are of the pixels that have light, those included whose order is not believed.
+        """
+        assert self.phase.dropped is not None
+        lit = ~np.isin(self.phase.dropped, (Rule.SATURATED, Rule.MODULATION, Rule.BIT))
+        found = []
+        for placed in self.capture.sequence.placed():
+            values = self.phase.evidence.get(placed.index, {}).get(name)
+            if values is None:
+                continue
+            own = values[lit & np.isfinite(values)].astype(np.float64)
+            table = {"part": placed.index, "axis": placed.code.axes[0], **_quantiles(own)}
+            if name == "order_residual":
+                beyond = np.abs(own) > 0.25
+                table["beyond_quarter_turn"] = float(beyond.mean()) if len(own) else None
+            found.append(table)
+        return found
+
+    def save(
+        self,
+        folder: str | Path,
+        parameters: Mapping[str, Any],
+        files: Mapping[str, Callable[[Path], None]] | None = None,
+    ) -> None:
         """Write the maps, the cloud and the numbers; nothing appears until all are complete.
 
         Parameters
@@ -57,10 +167,12 @@ class Decoded:
         folder : path
             For ``phase.exr`` (``modulation``, ``mean``, ``mask`` and, by axis, ``panel.u`` and
             ``sigma.u``, px; and, where nothing tells fringes apart, ``relative.u.0``, rad, of every
-            set in order of projection), ``cloud.ply`` (points and ``sigma``, mm, if there are any),
-            ``decode.json`` and ``provenance.json``.
+            set in order of projection), ``cloud.ply`` (if there are points; with
+            ``sigma``, mm, and ``grey``, DN), ``decode.json`` and ``provenance.json``.
         parameters : mapping
             For the provenance.
+        files : mapping of str to callable, optional
+            What is to stand beside them: ``summary.png``, and what writes it.
         """
         phase, cloud = self.phase, self.cloud
         channels = {
@@ -79,20 +191,42 @@ class Decoded:
         with DECODED_FOLDER.writing(folder, parameters, None) as temporary:
             write_exr(temporary / "phase.exr", single)
             if cloud:
-                write_ply(temporary / "cloud.ply", cloud.points, {"sigma": cloud.sigma_total_mm})
+                fields = {"sigma": cloud.sigma_total_mm, "grey": self.grey}
+                write_ply(temporary / "cloud.ply", cloud.points, fields)
+            for name, write in (files or {}).items():
+                write(temporary / name)
             write_json(temporary / "decode.json", self.to_dict())
 
 
+def _quantiles(values: NDArray[Any]) -> dict[str, float | None]:
+    """Return the 5th, 50th and 95th percentile, None where there is nothing."""
+    names, shares = ("p5", "p50", "p95"), (5.0, 50.0, 95.0)
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return dict.fromkeys(names)
+    found = np.percentile(finite, shares)
+    return {name: float(value) for name, value in zip(names, found, strict=True)}
+
+
 def decode_capture(
-    capture: Capture, *, min_modulation: float | None = None, where: object = "capture"
+    capture: Capture,
+    *,
+    min_modulation: float | None = None,
+    max_order_residual: float | None = None,
+    where: object = "capture",
 ) -> Decoded:
-    """Decode a capture, and triangulate it where its rig is known.
+    """Decode a capture with its evidence, and triangulate it where its rig is known.
+
+    Where the capture does not state its noise and the frames measure it, deviations and the limit
+    to the ratio of modulation to noise come from the measured one.
 
     Parameters
     ----------
     capture : Capture
     min_modulation : float, optional
         Least modulation of a valid pixel, DN; as :meth:`Capture.decode` takes it.
+    max_order_residual : float, optional
+        Largest residual of a fringe order that is believed, turns; the sequence's by default.
     where : object
         What to call the capture in a warning, its folder.
 
@@ -103,10 +237,27 @@ def decode_capture(
     Warns
     -----
     InputWarning
-        If nearly all pixels are saturated or dark.
+        If nearly all pixels are saturated or dark, the frames are not those of the patterns, or
+        the rays of the rig do not meet; :attr:`Decoded.warnings` has the same sentences.
     """
-    phase = capture.decode(min_modulation=min_modulation)
-    if doubt := exposure_doubt(capture, phase):
+
+    def decoded_with(noise: NoiseModel) -> PhaseMap:
+        return replace(capture, noise=noise).decode(
+            min_modulation=min_modulation, max_order_residual=max_order_residual, keep_evidence=True
+        )
+
+    phase = decoded_with(capture.noise or NoiseModel())
+    noise, kind = noise_of(capture, phase)
+    exposure = exposure_doubt(capture, phase)
+    doubts = [exposure] if exposure else manifest_doubts(capture, phase)
+    if kind == "measured":
+        phase = decoded_with(noise)
+    cloud, gap, lost = None, None, {}
+    if capture.rig is not None:
+        cloud = triangulate(capture.rig, phase)
+        gap = ray_gap(capture.rig, phase, cloud)
+        lost = lost_points(capture.rig, phase, cloud)
+        doubts += rig_doubts(phase, lost, gap)
+    for doubt in doubts:
         warn_user(where, doubt)
-    cloud = None if capture.rig is None else triangulate(capture.rig, phase)
-    return Decoded(capture, phase, cloud)
+    return Decoded(capture, phase, cloud, noise, kind, lost, gap, tuple(doubts))

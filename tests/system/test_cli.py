@@ -272,7 +272,7 @@ def test_decoding_from_disk_gives_the_same_cloud(bit_depth, tmp_path):
     outcome = ok("decode", out, "--json")
     result = json.loads(outcome.out)
     assert {p.name for p in (out / "decoded").iterdir()} == {
-        "cloud.ply", "decode.json", "phase.exr", "provenance.json",
+        "cloud.ply", "decode.json", "phase.exr", "provenance.json", "summary.png",
     }  # fmt: skip
     first, fields = read_ply(out / "cloud.ply")
     second, again = read_ply(out / "decoded" / "cloud.ply")

@@ -43,7 +43,8 @@ def decode_sets(
         The coordinate is that of the finest set.  Fringes alone that code the panel as a circle
         have its ends told apart as :func:`slbench.patterns.decode` says.  Evidence:
         ``order_residual`` of every set whose order was found, the order before it is rounded less
-        the whole number it is rounded to, in turns; and ``fit_residual_dn`` of every set of four
+        the whole number it is rounded to, in turns (``order_slack``: what a coarser code's cell
+        adds to it, half a cell); and ``fit_residual_dn`` of every set of four
         frames or more, the root mean square of what a sinusoid leaves of its frames, over N - 3
         degrees of freedom, DN: the noise, and whatever else is in the frames.
     """
@@ -112,6 +113,13 @@ def decode_sets(
     if observed.keep_evidence:
         for s in _unwrapped(way):
             evidence[placed[s].index] = {"order_residual": residual[s]}
+        if way.name == "gray" and way.chain[0].factors.count(1) == 1:
+            # Half a cell of the coarser code, in turns: so far a right order may be off.
+            wide = np.broadcast_to(reference_sigma, n_pixels) * (
+                sqrt(3.0) * way.chain[0].count / size
+            )
+            first = placed[way.chain[0].factors.index(1)].index
+            evidence[first]["order_slack"] = wide.astype(np.float32)
         if coarser is not None and coarser.dropped is not None and way.name == "gray":
             lost = (dropped == Rule.ORDER) & (coarser.dropped != Rule.KEPT)
             dropped[lost] = coarser.dropped[lost]
