@@ -215,6 +215,15 @@ def test_noise_that_makes_orders_wrong_is_no_wrong_manifest():
     assert found.dropped["order"] > 0
 
 
+def test_a_fine_set_shown_the_other_way_is_told():
+    """The camera sees the panel one to one; without noise, and with none stated."""
+    shown = PatternSequence((96, 8), (Fringes(1, 4), Fringes(8, 4, direction=-1)))
+    stated = PatternSequence((96, 8), (Fringes(1, 4), Fringes(8, 4)))
+    assert decoded(one_to_one(shown, 0.0), shown).warnings == ()
+    (sentence,) = decoded(one_to_one(shown, 0.0), stated).warnings
+    assert "fringe orders of parts[1] are no whole numbers" in sentence
+
+
 def test_a_missed_bit_is_told():
     sequence = PatternSequence((96, 40), (GrayCode("u"),))
     frames = one_to_one(sequence, 1.0)
