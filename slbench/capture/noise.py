@@ -75,7 +75,7 @@ def _from_fits(capture: Capture, phase: PhaseMap) -> list[tuple[Array, Array]]:
 def _from_repeats(capture: Capture) -> list[tuple[Array, Array]]:
     """Return the same of frames that are shown twice."""
     first: dict[Any, int] = {}
-    top = capture.saturation_dn or 2**capture.bit_depth - 1
+    top = capture.top_dn
     found = []
     for k, frame in enumerate(capture.sequence.frames()):
         before = first.setdefault((frame.part, frame.index), k)
