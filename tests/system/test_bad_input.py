@@ -160,7 +160,7 @@ SCAN = {
     "bad patterns in the file": (lambda f: scene(f, patterns={"sequence": "1;10"}), [], "1;10"),
     "bad patterns": (scene, ["--patterns", "1,ten"], "ten"),
     "empty patterns": (scene, ["--patterns", ""], "patterns"),
-    "no fringes": (scene, ["--patterns", "0,10"], "a whole number from 1 to 65536, got 0"),
+    "no fringes": (scene, ["--patterns", "0,10"], "a number in [0.001, 65536], got 0"),
     "too many fringes": (scene, ["--patterns", "1,500"], "at most 213 fringes on 640"),
     "not from one fringe": (scene, ["--patterns", "10,50"], "one fringe or a Gray code first"),
     "nothing coded": (scene, ["--patterns", "white"], "fringes or a Gray code"),

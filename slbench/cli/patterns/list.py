@@ -10,7 +10,7 @@ from slbench.cli.lazy import command
 
 @command("slbench patterns list", name="list")
 def list_patterns(as_json: Json = False) -> None:
-    """List the families of codes: their names, words of the short text, and where they are from."""
+    """List the families of codes, and their words."""
     from rich.table import Table
 
     from slbench.patterns import pattern_codes
