@@ -11,6 +11,7 @@ import typer
 
 from slbench.cli.common import AllowModules, AllowOutside, Json, MinModulation, print_json
 from slbench.cli.lazy import command
+from slbench.core.validation.types import OrderResidual
 
 
 @command("slbench decode out/step-block --out decoded")
@@ -24,9 +25,9 @@ def decode(
     rig: Annotated[Path | None, typer.Option(help="Rig (OpenCV YAML) to triangulate with.")] = None,
     min_modulation: MinModulation = None,
     max_order_residual: Annotated[
-        float | None,
+        OrderResidual | None,
         typer.Option(
-            help="Largest residual of a fringe order that is believed, turns, at most 0.5.  "
+            help="Largest residual of a fringe order that is believed, turns.  "
             "[default: the capture's]"
         ),
     ] = None,

@@ -71,7 +71,7 @@ def real(tmp_path_factory):
 
 def test_commands_on_real_data_load_no_simulator(real):
     lines = [
-        "decode shots --out decoded",
+        "decode shots --no-picture --out decoded",
         "fuse photographs --out fused/sharp.png",
         "register views --positions stage.csv --out merged",
         "calibrate fit points.csv --out model.json",

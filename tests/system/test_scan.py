@@ -483,5 +483,5 @@ def test_patterns_that_cannot_be_decoded_are_refused_before_anything_is_traced()
     scene = load_scene("plane", preview=True).with_patterns("2,10")
     with pytest.raises(InputError, match=r"scene plane: patterns 2,10: .*one fringe") as caught:
         scan(scene, on_progress=lambda stage, fraction: stages.append(stage))
-    assert caught.value.got == 2
+    assert caught.value.got == "2, 10 fringes"
     assert not stages

@@ -42,7 +42,9 @@ def test_scene(name):
     # Every scene is lit, seen and measured: nearly all lit pixels have a point...
     assert result.truth.lit.sum() > 10_000
     # (of a pixel of the calibration grid's preview, chrome and opal are mixed at every edge).
-    assert result.score.completeness > (0.9 if "grid" in name else 0.95)
+    # The grainy scene is there for orders that are not believed: their residual masks a tenth.
+    least = 0.9 if "grid" in name else 0.85 if "grainy" in name else 0.95
+    assert result.score.completeness > least
     # ... and on smooth surface the middle half of them is right to three times what noise and
     # the renderer's floor (in panel pixels, brought to mm by the sensitivity) predict.
     per_px = np.median(np.linalg.norm(result.cloud.sensitivity[:, 0], axis=-1))

@@ -20,7 +20,7 @@ def show(
     out: Annotated[Path | None, typer.Option(help="A PNG of what the panel shows.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Show a pattern set: its parts and frames, and whether it can be decoded."""
+    """Show a pattern set: its parts and its frames."""
     from slbench.core.io import check_output_file
     from slbench.core.show.document import Table
 

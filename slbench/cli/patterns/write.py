@@ -24,7 +24,7 @@ def write(
     ] = 1.0,
     border_px: Annotated[Whole, typer.Option(help="Panel pixels that stay dark at the ends.")] = 0,
 ) -> None:
-    """Write pictures for a real projector, and the manifest for the photographs of them."""
+    """Write pictures for a real projector, and a manifest."""
     from slbench.capture.shown import PHOTOGRAPHS, SHOWN_FOLDER, write_pictures
 
     sequence = sequence_of(patterns, panel, axes)
