@@ -63,7 +63,9 @@ def _from_fits(capture: Capture, phase: PhaseMap) -> list[tuple[Array, Array]]:
     found = []
     for placed in capture.sequence.placed():
         left = phase.evidence.get(placed.index, {}).get("fit_residual_dn")
-        if left is None or chosen.size == 0:
+        # What the lens takes of other codes' edges is left over too, and is no noise.
+        sinusoid = placed.code.fringe_count(capture.sequence.panel) is not None
+        if left is None or chosen.size == 0 or not sinusoid:
             continue
         frames = capture.frames[placed.frames.start : placed.frames.stop]
         mean = frames.reshape(len(frames), -1)[:, chosen].mean(axis=0)

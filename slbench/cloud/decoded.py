@@ -217,8 +217,9 @@ def decode_capture(
 ) -> Decoded:
     """Decode a capture with its evidence, and triangulate it where its rig is known.
 
-    Where the capture does not state its noise and the frames measure it, deviations and the limit
-    to the ratio of modulation to noise come from the measured one.
+    Where the capture does not state its noise and the frames measure it, deviations come from the
+    measured one.  Which pixels are valid does not: what a sinusoid leaves of the frames may be a
+    projector's response, which is no noise.
 
     Parameters
     ----------
@@ -241,9 +242,12 @@ def decode_capture(
         the rays of the rig do not meet; :attr:`Decoded.warnings` has the same sentences.
     """
 
-    def decoded_with(noise: NoiseModel) -> PhaseMap:
+    def decoded_with(noise: NoiseModel, **options: Any) -> PhaseMap:
         return replace(capture, noise=noise).decode(
-            min_modulation=min_modulation, max_order_residual=max_order_residual, keep_evidence=True
+            min_modulation=min_modulation,
+            max_order_residual=max_order_residual,
+            keep_evidence=True,
+            **options,
         )
 
     phase = decoded_with(capture.noise or NoiseModel())
@@ -251,7 +255,7 @@ def decode_capture(
     exposure = exposure_doubt(capture, phase)
     doubts = [exposure] if exposure else manifest_doubts(capture, phase)
     if kind == "measured":
-        phase = decoded_with(noise)
+        phase = decoded_with(noise, min_snr=0.0)
     cloud, gap, lost = None, None, {}
     if capture.rig is not None:
         cloud = triangulate(capture.rig, phase)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from slbench.capture.capture import Capture
 from slbench.cloud.decoded import decode_capture
@@ -258,6 +259,25 @@ def test_noise_is_measured_where_it_is_not_stated(sigma):
     # Rounding adds its own twelfth.
     at = np.sqrt(found.noise.variance(85.0))
     assert at == pytest.approx(np.hypot(sigma, 12**-0.5), rel=0.08)
+
+
+def test_a_response_of_the_projector_masks_nothing():
+    """Its harmonics are left over by the fit, a third of the modulation: no noise, and said so."""
+    sequence = PatternSequence((96, 40), (Fringes(1, 4), Fringes(4, 4)))
+    linear = (one_to_one(sequence, 0.0).astype(float) - 40.0) / 90.0
+    bent = np.rint(40.0 + 90.0 * np.clip(linear, 0.0, 1.0) ** 2.2).astype(np.uint8)
+    found = decoded(bent, sequence)
+    assert found.noise_kind == "measured"
+    assert any("the projector's response" in one for one in found.warnings)
+    # But for the panel's ends, which such deviations do not tell from one another.
+    assert found.phase.mask[:, 4:-4].all()
+
+
+def test_what_blur_leaves_of_stripes_is_no_noise():
+    sequence = PatternSequence.parse("xor2", (96, 40))
+    shown = np.array([sequence.image(k) for k in range(sequence.n_frames)])
+    frames = 30.0 + 110.0 * gaussian_filter1d(shown, 1.0, axis=2)
+    assert decoded(np.rint(frames).astype(np.uint8), sequence).noise_kind == "lower bound"
 
 
 def test_repeats_measure_noise_and_three_frames_do_not():

@@ -8,7 +8,17 @@ from typing import Any
 import numpy as np
 
 from slbench.core.errors import InputError
-from slbench.patterns.base import Axis, Code, Decoded, FloatArray, Found, Observed, Run, extent
+from slbench.patterns.base import (
+    Axis,
+    Code,
+    Decoded,
+    FloatArray,
+    Found,
+    Observed,
+    Rule,
+    Run,
+    extent,
+)
 from slbench.patterns.matching.vectors import CodeVectors, Nuisance
 
 
@@ -55,12 +65,8 @@ class MatchedCode(Code):
         mean: FloatArray = pixels.mean(axis=0, dtype=np.float64)
         modulation = 0.5 * result.gain
         noise = np.sqrt(observed.noise.variance(mean))
-        mask = (
-            result.sure
-            & np.isfinite(result.sigma)
-            & (modulation >= observed.min_modulation)
-            & (modulation >= observed.min_snr * noise)
-        )
+        lit = modulation >= np.maximum(observed.min_modulation, observed.min_snr * noise)
+        known = result.sure & np.isfinite(result.sigma)
         evidence: dict[int, dict[str, Any]] = {}
         if observed.keep_evidence:
             evidence[run.parts[0].index] = {
@@ -74,8 +80,11 @@ class MatchedCode(Code):
                 sigma=result.sigma,
                 modulation=modulation,
                 mean=mean,
-                mask=mask,
+                mask=lit & known,
                 evidence=evidence,
+                dropped=np.select([~lit, ~known], [Rule.MODULATION, Rule.OTHER]).astype(np.uint8)
+                if observed.keep_evidence
+                else None,
             )
         }
 
