@@ -144,7 +144,8 @@ def triangulate(rig: Rig, phase: PhaseMap) -> PointCloud:
             points[part], found = nearest_points(rig.projector, origins, directions, target)
             sensitivity[part] = found[:, order]
     sigma = np.stack([phase.sigma[axis][v, u] for axis in axes], axis=-1)
-    good = np.isfinite(points.sum(axis=-1)) & np.isfinite(sensitivity.sum(axis=(1, 2)))
+    with np.errstate(invalid="ignore"):  # parallel rays meet at infinities of either sign
+        good = np.isfinite(points.sum(axis=-1)) & np.isfinite(sensitivity.sum(axis=(1, 2)))
     if not good.all():
         points, pixels = points[good], pixels[good]
         sigma, sensitivity = sigma[good], sensitivity[good]

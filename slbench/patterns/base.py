@@ -132,10 +132,16 @@ class Code(Value, ABC):
 
     # What was shown.
 
+    axis: Axis
+    """The coded panel axis, a field of families that code one."""
+
     @property
-    @abstractmethod
     def axes(self) -> tuple[Axis, ...]:
-        """The panel axes whose coordinate is decoded from the code, none for a flat frame."""
+        """The panel axes whose coordinate is decoded from the code, none for a flat frame.
+
+        By default the one of the field `axis`.
+        """
+        return (self.axis,)
 
     @abstractmethod
     def n_frames(self, panel: Panel) -> int:

@@ -93,11 +93,6 @@ class GrayCode(Code):
             raise InputError("GrayCode: shifted", "complementary or shifted", "both")
 
     @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The coded axis."""
-        return (self.axis,)
-
-    @property
     def divides(self) -> bool:
         """Whether one more bit divides the cells."""
         return self.complementary or self.shifted

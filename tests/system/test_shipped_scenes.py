@@ -1,10 +1,14 @@
 """Every shipped scene loads, previews in seconds and scores."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from slbench.cloud.decoded import decode_capture
 from slbench.core import resources
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
 from slbench.scene.file import load_scene
 from slbench.simulate.scan import scan
 
@@ -50,6 +54,19 @@ def test_scene(name):
     per_px = np.median(np.linalg.norm(result.cloud.sensitivity[:, 0], axis=-1))
     expected = np.hypot(result.score.predicted_sigma_mm, result.floor_rms_px * per_px)
     assert result.score.median_abs_mm < 3.0 * expected
+    # Nothing about a right capture is questioned, whether its noise is stated or not.
+    for noise in (result.capture.noise, None):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InputWarning)
+            found = decode_capture(replace(result.capture, noise=noise))
+        if name == "gamma":  # whose fringes are no sinusoids
+            assert found.warnings
+            assert all("the projector's response" in one for one in found.warnings)
+        else:
+            assert found.warnings == ()
+        # Without a stated noise pixels are not lost; those too noisy for it are not known.
+        measured = [one.mask[result.truth.lit].mean() for one in (found.phase, result.phase)]
+        assert measured[0] > measured[1] - 0.01
 
 
 def test_micro_hardware_is_the_thesis_one():

@@ -71,11 +71,6 @@ class EmbeddedPhaseShifting(Code):
     axis: Axis = "u"
 
     @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The axis along which the fringes vary."""
-        return (self.axis,)
-
-    @property
     def counts(self) -> tuple[float, ...]:
         """The fringes of every set across the panel."""
         factor = self.count ** (1.0 / (self.sets - 1))

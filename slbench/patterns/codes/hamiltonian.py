@@ -20,8 +20,7 @@ import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.core.validation.types import FringeNumber, Interval
-from slbench.patterns.base import Axis, FloatArray, Panel, extent
-from slbench.patterns.base import Code as BaseCode
+from slbench.patterns.base import Axis, Code, FloatArray, Panel, extent
 from slbench.patterns.matching import MatchedCode
 
 
@@ -79,11 +78,6 @@ class HamiltonianCode(MatchedCode):
     count: FringeNumber = 1.0
     axis: Axis = "u"
 
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The coded axis."""
-        return (self.axis,)
-
     def n_frames(self, panel: Panel) -> int:
         """Return the number of frames, whatever the panel."""
         return self.frames
@@ -97,7 +91,7 @@ class HamiltonianCode(MatchedCode):
         after = (before + 1) % len(corners)
         return (1.0 - part) * corners[before] + part * corners[after]
 
-    def check(self, panel: Panel, before: Sequence[BaseCode]) -> None:
+    def check(self, panel: Panel, before: Sequence[Code]) -> None:
         """Raise InputError for edges shorter than two panel pixels, or one curve too many."""
         size = extent(panel, self.axis)
         most = size / (2.0 * len(cycle(self.frames)))

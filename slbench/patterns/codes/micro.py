@@ -17,8 +17,7 @@ import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.core.validation.types import FringePeriod, MaxLen, MinLen
-from slbench.patterns.base import Axis, FloatArray, Panel
-from slbench.patterns.base import Code as BaseCode
+from slbench.patterns.base import Axis, Code, FloatArray, Panel
 from slbench.patterns.matching import MatchedCode
 
 #: Periods, px, within 10 % of 16: of all such sets of five, drawn at random, one whose code vectors
@@ -58,11 +57,6 @@ class MicroPhaseShifting(MatchedCode):
             expected = f"within a factor of {_BAND:g}, to have one contrast"
             raise InputError("MicroPhaseShifting: periods_px", expected, list(self.periods_px))
 
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The axis along which the fringes vary."""
-        return (self.axis,)
-
     def n_frames(self, panel: Panel) -> int:
         """Return the number of periods and two."""
         return len(self.periods_px) + _SHIFTS - 1
@@ -74,7 +68,7 @@ class MicroPhaseShifting(MatchedCode):
         phase = 2.0 * np.pi * (np.arange(size) + 0.5) / period
         return 0.5 + 0.5 * np.cos(phase - shift)
 
-    def check(self, panel: Panel, before: Sequence[BaseCode]) -> None:
+    def check(self, panel: Panel, before: Sequence[Code]) -> None:
         """Raise InputError for fringes of fewer than three panel pixels."""
         if min(self.periods_px) < 3.0:
             raise InputError(

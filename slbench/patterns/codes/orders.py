@@ -17,8 +17,7 @@ import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.core.validation.types import FringeCount, Shifts
-from slbench.patterns.base import Axis, FloatArray, Panel, extent
-from slbench.patterns.base import Code as BaseCode
+from slbench.patterns.base import Axis, Code, FloatArray, Panel, extent
 from slbench.patterns.matching import MatchedCode
 
 
@@ -42,11 +41,6 @@ class PhaseCodedOrders(MatchedCode):
     shifts: Shifts = 3
     axis: Axis = "u"
 
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The coded axis."""
-        return (self.axis,)
-
     def n_frames(self, panel: Panel) -> int:
         """Return the number of shifts, whatever the panel."""
         return self.shifts
@@ -57,7 +51,7 @@ class PhaseCodedOrders(MatchedCode):
         phase = 2.0 * np.pi * (step + 0.5) / self.count
         return 0.5 + 0.5 * np.cos(phase - 2.0 * np.pi * k / self.shifts)
 
-    def check(self, panel: Panel, before: Sequence[BaseCode]) -> None:
+    def check(self, panel: Panel, before: Sequence[Code]) -> None:
         """Raise InputError for one step, or more than the panel has pixels for."""
         most = extent(panel, self.axis) // 3
         if not 2 <= self.count <= most:

@@ -66,11 +66,6 @@ class PeriodicCode(Code):
     count: FringeNumber
     axis: Axis = "u"
 
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The coded axis."""
-        return (self.axis,)
-
     @abstractmethod
     def estimate(self, placed: Placed, observed: Observed) -> Estimate:
         """Return where within a period each pixel is, from the frames of the code."""

@@ -16,8 +16,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from slbench.core.errors import InputError
-from slbench.patterns.base import Axis, FloatArray, Panel, extent
-from slbench.patterns.base import Code as BaseCode
+from slbench.patterns.base import Axis, Code, FloatArray, Panel, extent
 from slbench.patterns.matching import MatchedCode
 
 
@@ -42,11 +41,6 @@ class XorCode(MatchedCode):
     axis: Axis = "u"
     base_px: Literal[2, 4] = 2
 
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The coded axis."""
-        return (self.axis,)
-
     def n_frames(self, panel: Panel) -> int:
         """Return twice the number of bits that tell the columns apart."""
         return 2 * (extent(panel, self.axis) - 1).bit_length()
@@ -63,7 +57,7 @@ class XorCode(MatchedCode):
             lit = lit ^ (code >> (bits - 1 - base))
         return ((lit & 1) ^ inverted).astype(np.float64)
 
-    def check(self, panel: Panel, before: Sequence[BaseCode]) -> None:
+    def check(self, panel: Panel, before: Sequence[Code]) -> None:
         """Raise InputError for a panel with fewer columns than the base needs."""
         size = extent(panel, self.axis)
         if size < 2 * self.base_px:

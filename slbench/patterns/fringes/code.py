@@ -109,11 +109,6 @@ class Fringes(Code):
         shown = (f"{key}={value!r}" for key, value in self.to_table(None).items())
         return f"Fringes({', '.join(shown)})"
 
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The axis along which the fringes vary."""
-        return (self.axis,)
-
     def n_frames(self, panel: Panel) -> int:
         """Return the number of shifts, whatever the panel."""
         return self.shifts

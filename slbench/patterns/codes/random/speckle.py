@@ -17,8 +17,7 @@ import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.core.validation.types import FringePeriod, Interval, Seed
-from slbench.patterns.base import Axis, FloatArray, Panel, extent
-from slbench.patterns.base import Code as BaseCode
+from slbench.patterns.base import Axis, Code, FloatArray, Panel, extent
 from slbench.patterns.matching import MatchedCode
 
 #: Standard deviations of a speckle pattern that are shown; what is beyond is cut.
@@ -55,11 +54,6 @@ class Speckle(MatchedCode):
     grain_px: FringePeriod = 8.0
     seed: Seed = 0
 
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The coded axis."""
-        return (self.axis,)
-
     def n_frames(self, panel: Panel) -> int:
         """Return the number of frames, whatever the panel."""
         return self.frames
@@ -75,7 +69,7 @@ class Speckle(MatchedCode):
         shown = np.convolve(white, kernel, mode="valid")
         return np.clip(0.5 + 0.5 * shown / _RANGE, 0.0, 1.0)
 
-    def check(self, panel: Panel, before: Sequence[BaseCode]) -> None:
+    def check(self, panel: Panel, before: Sequence[Code]) -> None:
         """Raise InputError for a grain that the panel cannot show."""
         most = extent(panel, self.axis) / 4.0
         if not 2.0 <= self.grain_px <= most:
