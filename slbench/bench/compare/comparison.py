@@ -125,8 +125,13 @@ class SetResult:
 
     @property
     def bound_share(self) -> float:
-        """The bound over the measured deviation: 1 where the decoder uses all that frames carry."""
-        return self.bound_mm / self.std_median_mm if self.std_median_mm > 0.0 else float("nan")
+        """The bound over the measured deviation: 1 where the decoder uses all that frames carry.
+
+        By RMS: medians of few repeats' deviations are too small.
+        """
+        if not (self.predicted_mm > 0.0 and self.std_over_predicted > 0.0):
+            return float("nan")
+        return self.bound_mm / self.predicted_mm / self.std_over_predicted
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, without the maps."""

@@ -558,7 +558,10 @@ class TestResults:
             share = counts[-1] / np.sqrt(np.sum(np.square(counts)))
             # The weights gain up to a tenth where the sets are of like fineness.
             assert 0.9 * share < one.bound_mm / one.predicted_mm < 1.01 * share
-            assert one.bound_share == one.bound_mm / one.std_median_mm
+            # Noise is all there is, so that the share of the prediction is that of what was
+            # measured; a median over the deviations of few repeats would be a tenth too large.
+            assert one.bound_share == pytest.approx(one.bound_mm / one.predicted_mm, rel=0.03)
+            assert one.bound_share < 1.02
         assert np.isnan(comparison["gray"].bound_share)
         assert comparison["gray"].to_dict()["bound_mm"] is None
 
