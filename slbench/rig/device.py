@@ -111,10 +111,12 @@ class Device(Value):
         if self.pitch_mm[1] != self.pitch_mm[0]:
             pitch += f" x {1e3 * self.pitch_mm[1]:.4g}"
         kind = "" if lens.kind == "perspective" else f"{lens.kind} "
+        light = f" in {lens.wavelength_nm:g} nm" if lens.wavelength_nm else ""
+        blur = f", blur {self.blur_px:.3g} px" if self.blur_px else ""
         return (
             f"<{type(self).__name__} {self.width} x {self.height} px of {pitch} µm, {kind}lens "
-            f"{length(lens.focal_length_mm)} f/{lens.f_number:.3g} in focus at "
-            f"{length(lens.focus_distance_mm)}, at ({numbers(self.pose.position)}) mm>"
+            f"{length(lens.focal_length_mm)} f/{lens.f_number:.3g}{light} in focus at "
+            f"{length(lens.focus_distance_mm)}{blur}, at ({numbers(self.pose.position)}) mm>"
         )
 
     # -- the panel ---------------------------------------------------------------------

@@ -1,10 +1,14 @@
 """Rigs as OpenCV YAML: OpenCV loads them, OpenCV's numbers mean the same, bad files say why."""
 
 from dataclasses import fields, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from slbench.core.errors import InputError
 from slbench.rig import Camera, DesignVariables, Lens, Projector, Rig
@@ -57,6 +61,30 @@ def assert_same(first, second):
 def test_round_trip(rig, tmp_path):
     write_rig(tmp_path / "rig.yml", rig)
     assert_same(read_rig(tmp_path / "rig.yml"), rig)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    wavelengths=st.tuples(*[st.floats(0.0, 2000.0)] * 2),
+    blurs=st.tuples(*[st.floats(0.0, 20.0)] * 2),
+    fill=st.floats(0.05, 1.0),
+)
+def test_what_lenses_spread_comes_back_to_the_last_bit(wavelengths, blurs, fill):
+    lenses = [Lens(16.0, 2.0, 450.0, wavelength_nm=nm) for nm in wavelengths]
+    rig = Rig(
+        Camera(64, 48, (0.01, 0.01), lenses[0], blur_px=blurs[0], fill_factor=fill),
+        Projector(64, 48, (0.01, 0.01), lenses[1], blur_px=blurs[1]),
+    )
+    with TemporaryDirectory() as folder:
+        write_rig(Path(folder) / "rig.yaml", rig)
+        back = read_rig(Path(folder) / "rig.yaml")
+    for one, two in ((rig.camera, back.camera), (rig.projector, back.projector)):
+        assert one.lens.wavelength_nm == two.lens.wavelength_nm
+        assert one.spread == two.spread
+    assert back.camera.fill_factor == fill
+    # What is not nothing is said.
+    assert ("blur" in repr(back.camera)) == (blurs[0] > 0.0)
+    assert ("nm in focus" in repr(back.projector)) == (wavelengths[1] > 0.0)
 
 
 def test_opencv_alone_projects_to_the_same_pixels(tmp_path):

@@ -3,11 +3,14 @@
 import copy
 import tomllib
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 import tomli_w
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from slbench.core import resources
@@ -93,6 +96,29 @@ def refusal(folder, values) -> InputError:
         load_scene(write(folder, values))
     assert "\n" not in str(caught.value)
     return caught.value
+
+
+# -- lenses ------------------------------------------------------------------------------------
+
+
+@settings(max_examples=20, deadline=None)
+@given(nm=st.floats(200.0, 2000.0), blur=st.floats(0.0, 20.0), fill=st.floats(0.05, 1.0))
+def test_what_lenses_spread_is_read_and_kept(nm, blur, fill):
+    """From a file, and from the file that the scene would write."""
+    own = {"wavelength_nm": nm, "blur_px": blur}
+    values = {
+        "extends": "plane",
+        "name": "spread",
+        "camera": own | {"fill_factor": fill},
+        "projector": own,
+    }
+    with TemporaryDirectory() as folder:
+        scene = load_scene(write(Path(folder), values))
+        again = load_scene(write(Path(folder), scene.specification))
+    for rig in (scene.rig, again.rig):
+        for device in (rig.camera, rig.projector):
+            assert (device.lens.wavelength_nm, device.blur_px) == (nm, blur)
+        assert rig.camera.fill_factor == fill
 
 
 # -- what a file says -------------------------------------------------------------------------
