@@ -98,11 +98,6 @@ class DeBruijn(Code):
     stripe_px: FringePeriod = 8.0
     axis: Axis = "u"
 
-    @property
-    def axes(self) -> tuple[Axis, ...]:
-        """The coded axis."""
-        return (self.axis,)
-
     def n_frames(self, panel: Panel) -> int:
         """Return 3, one a channel."""
         return _CHANNELS
