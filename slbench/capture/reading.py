@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.io import page_count, read_frame
+from slbench.core.natural import natural
 
 #: Bits of a digital number that are told from the low bits that no frame uses.
 _DEPTHS: Final = (8, 10, 12, 14)
@@ -28,7 +29,6 @@ _DEPTHS: Final = (8, 10, 12, 14)
 _HIGH: Final = 2**12
 _ENTRY = re.compile(r"(?P<name>.*?)(\[(?P<page>[0-9]{1,6})\])?(#(?P<channel>[A-Za-z]+))?")
 _CHANNELS = ("r", "g", "b")
-_DIGITS = re.compile(r"([0-9]+)")
 
 
 @dataclass(frozen=True)
@@ -197,7 +197,7 @@ def _of_entry(folder: Path, entry: str, allow_outside: bool) -> list[FrameFile]:
     if not _is_file(path) and not page and any(mark in entry for mark in "*?["):
         pattern = entry if channel is None else entry.rpartition("#")[0]
         allowed(folder, pattern, allow_outside)
-        matches = sorted(glob(pattern, root_dir=folder), key=_natural)
+        matches = sorted(glob(pattern, root_dir=folder), key=natural)
         paths = [(match, allowed(folder, match, allow_outside)) for match in matches]
         return [f for match, p in paths if _is_file(p) for f in _pages(match, p, None, channel)]
     return _pages(entry, path, None if page is None else int(page), channel)
@@ -211,12 +211,6 @@ def _pages(name: str, path: Path, page: int | None, channel: str | None) -> list
     if page >= count:
         raise InputError(name, f"a page below {count}, counted from 0", page)
     return [FrameFile(name, path, page, channel)]
-
-
-def _natural(name: str) -> tuple[tuple[Any, ...], str]:
-    """Return the key by which ``9.png`` comes before ``10.png``."""
-    parts = _DIGITS.split(name)
-    return tuple(int(p) if k % 2 else p for k, p in enumerate(parts)), name
 
 
 def _brief(entries: Sequence[str]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +10,7 @@ import typer
 from slbench.cli.common import Json, print_json, print_table, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.natural import natural
 from slbench.core.validation.types import FINITE, Interval, Step
 
 #: A tilt of a stage, mrad.
@@ -120,12 +120,7 @@ def _files(given: list[Path]) -> list[Path]:
         found = [path for path in given[0].iterdir() if path.suffix.lower() == ".ply"]
         if len(found) < 2:
             raise InputError(given[0], "a folder of two PLY files at least", len(found))
-        return sorted(found, key=_natural)
+        return sorted(found, key=lambda path: natural(path.name))
     if len(given) < 2:
         raise InputError("views", "two PLY files at least, or a folder of them", given[0])
     return given
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    parts = re.split(r"(\d+)", path.name)
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in parts]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.natural import natural
 from slbench.patterns.base import Axis, Code, FloatArray, Panel, Variation
 from slbench.patterns.matching.code import MatchedCode
 
@@ -119,7 +119,7 @@ class Images(MatchedCode):
             raise InputError("Images: axes", '"u", "v" or "uv"', repr(coded))
         base = Path(".") if folder is None else folder
         inside(base, pattern.replace("*", "_"))
-        paths = sorted(base.glob(pattern), key=lambda path: _natural(path.name))
+        paths = sorted(base.glob(pattern), key=lambda path: natural(path.name))
         if not paths:
             raise InputError("Images: files", f"pictures in {base}", f"no {pattern}")
         pictures = [read_grey(inside(base, path.relative_to(base))) for path in paths]
@@ -151,10 +151,3 @@ class Images(MatchedCode):
     def _levels(self, picture: NDArray[Any]) -> FloatArray:
         levels: FloatArray = picture / float(np.iinfo(picture.dtype).max)
         return levels
-
-
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Return a key that sorts numbers in names by value."""
-    return [
-        (int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name)
-    ]

@@ -1,6 +1,5 @@
 """Folders of photographs as stacks: frames in order of their names, read when asked for."""
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from slbench.capture.fusion.stack import Banded, Stack, banded
 from slbench.core.errors import InputError
 from slbench.core.io import read_colour
+from slbench.core.natural import natural
 from slbench.core.show.display import brief
 
 SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
@@ -64,7 +64,7 @@ class Photographs:
         ]
         if len(files) < 2:
             raise InputError(folder, "at least 2 photographs (PNG, TIFF or JPEG)", len(files))
-        files.sort(key=lambda path: _natural(path.name))
+        files.sort(key=lambda path: natural(path.name))
         first = read_colour(files[0])
         return cls(tuple(files), first.shape, first.dtype)
 
@@ -130,10 +130,3 @@ class _GreyBands:
 
 def _grey(image: NDArray[Any]) -> NDArray[Any]:
     return image if image.ndim == 2 else image @ _LUMA
-
-
-def _natural(name: str) -> tuple[Any, ...]:
-    """Return a key that sorts names as people do: numbers by their values."""
-    parts = re.split(r"(\d+)", name.casefold())
-    numbers = tuple(int(part) if part.isdecimal() else part for part in parts)
-    return (*numbers, name)
