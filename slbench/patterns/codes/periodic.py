@@ -114,7 +114,10 @@ class PeriodicCode(Code):
         parts = sorted(run.parts, key=lambda placed: cast(Self, placed.code).count)
         place = None if coarser is None else (coarser.coordinate + 0.5) / size
         closed = coarser is None and all(cast(Self, p.code).count % 1.0 == 0.0 for p in parts)
-        dim = order = np.zeros(observed.pixels.shape[1], dtype=np.bool_)
+        # Half the cell of a coarser code, whose deviation is that of a uniform error.
+        count = observed.pixels.shape[1]
+        half = np.zeros(count) if coarser is None else np.sqrt(3.0) * coarser.sigma / size
+        dim = order = coarse = np.zeros(count, dtype=np.bool_)
         evidence: dict[int, dict[str, FloatArray]] = {}
         for placed in parts:
             code = cast(Self, placed.code)
@@ -127,7 +130,10 @@ class PeriodicCode(Code):
                 exact = code.count * place - turns
                 whole = np.round(exact)
                 residual = exact - whole
-                order = order | ~(np.abs(residual) <= observed.max_order_residual)
+                slack = code.count * half
+                coarse = coarse | ~(slack <= 0.5 + 1e-9)
+                order = order | ~(np.abs(residual) <= observed.max_order_residual + slack)
+                half = np.zeros(count)  # the next code has this one before it
                 turns = whole + turns
                 if observed.keep_evidence:
                     evidence[placed.index] = {"order_residual": residual}
@@ -143,9 +149,9 @@ class PeriodicCode(Code):
             end = ~((place >= margin) & (place <= 1.0 - margin))
         else:
             end = ~((place >= -margin) & (place <= 1.0 + margin))
-        lost: NDArray[np.bool_] = dim | order | end
-        rules = [Rule.MODULATION, Rule.ORDER, Rule.END]
-        dropped = np.select([dim, order, end], rules, Rule.KEPT).astype(np.uint8)
+        lost: NDArray[np.bool_] = dim | coarse | order | end
+        rules = [Rule.MODULATION, Rule.BIT, Rule.ORDER, Rule.END]
+        dropped = np.select([dim, coarse, order, end], rules, Rule.KEPT).astype(np.uint8)
         return {
             axis: Found(
                 coordinate=size * place - 0.5,

@@ -5,7 +5,10 @@ import pytest
 from scenes_small import small, truth_of
 
 from slbench.core.errors import InputError
-from slbench.patterns import NoiseModel, PatternSequence, decode
+from slbench.patterns import GrayCode, NoiseModel, PatternSequence, decode
+from slbench.patterns.codes.modulated import ModulatedPhaseShifting
+from slbench.patterns.codes.trapezoidal import Trapezoidal
+from slbench.patterns.codes.two_plus_one import TwoPlusOne
 from slbench.patterns.matching.vectors import blurred
 from slbench.rig.spread import Spread
 from slbench.simulate.scan import scan
@@ -62,6 +65,23 @@ def test_the_predicted_deviation_is_the_measured_one(text):
     assert np.abs(pull).max() < 6  # no wrong order
     # 20,000 pixels: the deviation scatters by half a hundredth.
     assert pull.std() == pytest.approx(1.0, rel=0.03)
+
+
+@pytest.mark.parametrize("family", [TwoPlusOne, Trapezoidal, ModulatedPhaseShifting])
+def test_cells_of_one_period_tell_periods_apart(family):
+    """Their middle is up to half a period off every place, which is no wrong order."""
+    code = GrayCode(cell_px=64.0)
+    sequence = PatternSequence(PANEL, (code, family(16)))
+    u = np.arange(4, WIDTH - 4).astype(float)
+    found = decode(exposed(sequence, u, 0, 0.0), sequence, noise=NOISE)
+    # The last places of a period may be counted to the next one; a cell's edge lies there.
+    assert found.mask.mean() > 0.98
+    off = np.abs(found.coordinate["u"][0] - u)
+    assert np.nanmax(np.minimum(off, np.abs(off - 64.0))) < 1e-6
+    assert np.nanmean(off > 1.0) < 0.02
+    # Cells of two periods do not.
+    wide = PatternSequence(PANEL, (GrayCode(cell_px=128.0), family(16)))
+    assert not decode(exposed(wide, u, 0, 0.0), wide, noise=NOISE).mask.any()
 
 
 @pytest.mark.parametrize("text", SETS)
