@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,8 @@ from slbench.patterns.registry import pattern_codes
 
 #: Largest residual of a fringe order that is believed, turns, unless said otherwise.
 MAX_ORDER_RESIDUAL = 0.3
+#: Words of the short text that force a way to tell fringes apart; "gray" is a code.
+_WAYS = tuple(way for way in get_args(Unwrap) if way not in ("auto", "gray"))
 
 
 @dataclass(frozen=True)
@@ -128,14 +130,14 @@ class PatternSequence(Value):
     def name(self) -> str:
         """Short text such as ``"gray+1,10,50@4"``, which :meth:`parse` reads back.
 
-        The coded axes are not part of it, nor are `unwrap` and `max_order_residual`; and what the
-        short text has no word for (a grey flat, a Gray code without inverses, two axes coded
-        differently, the direction of fringes) is shown but not parsed.
+        The coded axes are not part of it, nor is `max_order_residual`; and what the short text has
+        no word for (a grey flat, a Gray code without inverses, two axes coded differently, the
+        direction of fringes) is shown but not parsed.
         """
         texts = {axis: self._text((axis,)) for axis in self.axes}
-        if len(set(texts.values())) > 1:
-            return self._text(self.axes)
-        return next(iter(texts.values()), self._text(()))
+        alike = len(set(texts.values())) <= 1
+        text = next(iter(texts.values()), self._text(())) if alike else self._text(self.axes)
+        return f"{text}+{self.unwrap}" if self.unwrap in _WAYS else text
 
     # What the parts are.
 
@@ -331,7 +333,8 @@ class PatternSequence(Value):
             commas, or those of installed codes.  ``@N`` after a count sets N shifts for it and
             for the counts before it that have none: ``"1,10,50"``, ``"1,10,50@4"``,
             ``"gray+16@8"``.  A count is any real number (``28.8@4``), or a period (``22.5px``);
-            ``@0/90/180`` is a list of shifts in degrees.
+            ``@0/90/180`` is a list of shifts in degrees.  A last word forces what tells fringes
+            apart: ``"15,16@4+heterodyne"``, ``"16@4+spatial"``.
         panel : (int, int)
             Panel width and height in pixels.
         shifts : int
@@ -348,12 +351,14 @@ class PatternSequence(Value):
             raise InputError("patterns", 'text such as "1,10,50@4" or "gray+16@8"', repr(text))
         if axes not in ("u", "v", "uv", "vu"):
             raise InputError("patterns: axes", '"u", "v", "uv" or "vu"', repr(axes))
+        *words, last = text.replace(" ", "").split("+")
+        forced = bool(words) and last in _WAYS
         parts: list[Code] = []
         for i, axis in enumerate(cast(Sequence[Axis], axes)):
-            for word in text.replace(" ", "").split("+"):
+            for word in words if forced else (*words, last):
                 codes = _read_word(f'patterns "{text}"', word, axis, shifts)
                 parts += [code for code in codes if i == 0 or code.axes == (axis,)]
-        return cls(panel, tuple(parts))
+        return cls(panel, tuple(parts), cast(Unwrap, last) if forced else "auto")
 
     def _text(self, axes: Sequence[Axis]) -> str:
         """Write the flat parts and those along `axes` in the language of :meth:`parse`."""

@@ -103,6 +103,19 @@ def test_short_text(text, parts):
     assert PatternSequence.parse(sequence.name, PANEL) == sequence
 
 
+@pytest.mark.parametrize("way", ["sequential", "heterodyne", "number-theoretic", "spatial", "none"])
+def test_short_text_forces_a_way(way):
+    sequence = PatternSequence.parse(f"8, 9@4 + {way}", PANEL, axes="uv")
+    assert sequence.unwrap == way
+    assert sequence.name == f"8,9@4+{way}"
+    assert PatternSequence.parse(sequence.name, PANEL, axes="uv") == sequence
+
+
+def test_a_way_alone_shows_nothing():
+    with pytest.raises(InputError, match="spatial"):
+        PatternSequence.parse("spatial", PANEL)
+
+
 def test_short_text_codes_each_axis_in_turn():
     sequence = PatternSequence.parse("black+1,5", PANEL, shifts=5, axes="uv")
     assert sequence.parts == (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -330,7 +331,7 @@ def write_comparison(comparison: Comparison, folder: str | Path) -> list[Path]:
         write_bytes(temporary / "comparison.png", picture.png)
         for one in comparison.sets:
             channels = {"std": one.std_mm, "std.z": one.std_z_mm, "error.z": one.error_mm}
-            path = temporary / "maps" / f"{one.name.replace(',', '_')}.exr"
+            path = temporary / "maps" / (re.sub(r"[^\w.@+-]", "_", one.name) + ".exr")
             write_exr(path, {name: image.astype(np.float32) for name, image in channels.items()})
         names = [entry.name for entry in temporary.iterdir()]
     return [Path(folder) / name for name in sorted([*names, COMPARISON_FOLDER.provenance])]
