@@ -27,10 +27,11 @@ from slbench.capture.stack import WeightSource
 from slbench.core.errors import InputError
 from slbench.core.random import Word, derived_seed, generator
 from slbench.core.show.display import brief
-from slbench.patterns import Axis, PhaseMap
+from slbench.patterns import Axis, Flat, PhaseMap
 from slbench.rig import Pose
 from slbench.scene.model import Scene
-from slbench.simulate.stack import capture_stack, with_lit_frame
+from slbench.simulate.floors import halves, more_samples
+from slbench.simulate.stack import capture_stack, traced, with_lit_frame
 
 Array = NDArray[np.float64]
 
@@ -57,12 +58,15 @@ class Experiment:
         Nominal stage positions.
     detection_px : (n, 2) float
         Detected less projected true centres, px.
+    sampling_px : float
+        The Monte Carlo part of the distance between the two, RMS, px, at the height in the middle.
     """
 
     points: CalibrationPoints
     position: NDArray[np.intp]
     positions_mm: Array
     detection_px: Array
+    sampling_px: float = float("nan")
 
     __repr__ = brief
 
@@ -154,6 +158,7 @@ def run_experiment(
     errors = generator(seed, Word.STAGE).normal(0.0, stage_sigma_mm or 0.0, positions_mm.shape)
     pixels, world, position, detection = [], [], [], []
     problems, captured = [], False
+    middle, sampling = int(np.argmin(np.abs(positions_mm[:, 2]))), float("nan")
     for k, (nominal, error) in enumerate(zip(positions_mm, errors, strict=True)):
         nominal_pose = Pose(grid.pose.rotation, grid.pose.position + nominal)
         moved = replace(grid, pose=Pose(grid.pose.rotation, nominal_pose.position + error))
@@ -163,6 +168,8 @@ def run_experiment(
             shots, phase = _measured(placed, weights, own)
             captured = True
             found, which, columns = _dots(placed, nominal_pose, remapping, shots, phase)
+            if k == middle:
+                sampling = _sampling_px(placed, own)
         except InputError as problem:
             where = f"stage position {k + 1}: {problem.where}"
             problems.append(InputError(where, problem.expected, problem.got))
@@ -190,7 +197,42 @@ def run_experiment(
         np.concatenate(position),
         positions_mm,
         np.concatenate(detection),
+        sampling,
     )
+
+
+def sampling_doubt(experiment: Experiment, samples: int) -> str | None:
+    """Question a number of samples whose Monte Carlo error is seen in where dots are found."""
+    errors = np.linalg.norm(experiment.detection_px, axis=1)
+    whole, sampling = float(np.median(errors)), experiment.sampling_px
+    more = more_samples(samples, whole, sampling)
+    if more is None:
+        return None
+    return (
+        f"sampling puts dots {sampling:.3f} px off, of {whole:.3f} px in the middle of all: {more} "
+        f"samples a pixel instead of {samples} would change it (--spp, render.samples)"
+    )
+
+
+def _sampling_px(scene: Scene, seed: int) -> float:
+    """Return by how much dots move where half of the samples show them, RMS, px.
+
+    That is one draw of the Monte Carlo error of all samples, as of any transport's half.
+    """
+    from scipy.spatial import cKDTree
+
+    lit = replace(scene, sequence=replace(scene.sequence, parts=(Flat(1.0),)))
+    transports = traced(lit, seed=seed)
+    half = halves(transports)
+    if half is None:
+        return float("nan")
+    whole, other = (
+        detect_dots(capture_stack(lit, shown, seed=seed, noise=False).fuse("lit").capture.frames[0])
+        for shown in (transports, half)
+    )
+    distance, _ = cKDTree(other.centres).query(whole.centres)
+    same = distance < whole.radii
+    return float(np.sqrt(np.mean(distance[same] ** 2))) if same.any() else float("nan")
 
 
 def _dots(

@@ -123,6 +123,7 @@ def to_dict(
             "scatter_px": np.std(experiment.detection_px, axis=0),
             "median_px": float(np.median(error)),
             "p95_px": float(np.percentile(error, 95.0)),
+            "sampling_px": experiment.sampling_px,
         },
         "baselines": None if comparison is None else comparison.to_dict(),
     }

@@ -10,7 +10,7 @@ from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
 from slbench.scene.file import load_scene
 from slbench.twin import experiment
-from slbench.twin.experiment import run_experiment, stage_positions
+from slbench.twin.experiment import run_experiment, sampling_doubt, stage_positions
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +54,19 @@ def test_every_dot_is_numbered_and_where_it_is(grid, found):
     # panel and the noise leave a tenth of a pixel.
     true = grid.rig.projector.project(points.world)[:, 0]
     assert np.median(np.abs(points.pixels[:, 2] - true)[focused]) < 0.12
+
+
+@pytest.mark.slow
+def test_the_sampling_part_of_dots_falls_with_samples(grid):
+    middle = stage_positions(grid, 3, 1)[1:2]
+    found = {n: run_experiment(replace(grid, samples=n), middle, seed=2) for n in (8, 128)}
+    few, many = (found[n].sampling_px for n in (8, 128))
+    # With the root of 16 at least, and with 16 at most, where strata take all that is linear.
+    assert few / 20 < many < few / 3.5
+    # What is stated is what the truth says: the other parts are noise and blur.
+    whole = {n: np.sqrt(np.mean(np.sum(one.detection_px**2, axis=1))) for n, one in found.items()}
+    assert np.sqrt(whole[8] ** 2 - whole[128] ** 2) == pytest.approx(few, rel=0.25)
+    assert "8 would change it" in sampling_doubt(found[8], 8)
 
 
 def test_a_model_is_found_that_measures_below_a_micrometre(found):

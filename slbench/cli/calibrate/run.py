@@ -20,7 +20,7 @@ from slbench.cli.common import (
     progress,
 )
 from slbench.cli.lazy import command
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.validation.types import Interval, Micrometres, Samples, Step, Steps
 
 #: Of a stage, at least as many as the cubic model needs.
@@ -86,6 +86,7 @@ def run(
         Y_STEPS,
         Z_STEPS,
         run_experiment,
+        sampling_doubt,
         stage_positions,
     )
     from slbench.twin.report import (
@@ -120,6 +121,8 @@ def run(
             seed=seed,
             on_progress=report,
         )
+    if doubt := sampling_doubt(found, loaded.samples):
+        warn_user(f"scene {loaded.name}", doubt)
     camera, projector = loaded.rig.camera, loaded.rig.projector
     parameters = {
         "scene": loaded.specification,
