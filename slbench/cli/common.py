@@ -101,7 +101,9 @@ def print_table(table: Any, *, left: int = 1) -> None:
     if isinstance(table, Table):
         laid_out = terminal.Table(title=table.title or None)
         for k, column in enumerate(table.columns):
-            laid_out.add_column(column, justify="left" if k < left else "right")
+            # Names are broken rather than cut short: they are what tells rows apart.
+            justify: Literal["left", "right"] = "left" if k < left else "right"
+            laid_out.add_column(column, justify=justify, overflow="fold")
         for row in table.texts():
             laid_out.add_row(*map(Text, row))  # names come from files: they are no markup
         table = laid_out

@@ -132,7 +132,13 @@ def _suite(
 ) -> None:
     """Run all sets on all scenes."""
     from slbench.bench.compare.suite import SETS, compare_suite
-    from slbench.report.pages.suite import SUITE_FOLDER, suite_page, suite_tables, write_suite
+    from slbench.report.pages.suite import (
+        SUITE_FOLDER,
+        findings_lines,
+        suite_page,
+        suite_tables,
+        write_suite,
+    )
 
     if report is not None:
         from slbench.report.page import check_page_path, write_page
@@ -155,8 +161,10 @@ def _suite(
     if as_json:
         print_json(result.to_dict() | {"out": str(folder)})
         return
-    for table in suite_tables(result):
+    for table in suite_tables(result)[:3]:
         print_table(table)
+    for line in findings_lines(result):
+        print(line)
     print(f"Written to {folder}: open {folder / 'suite.md'}")
     if report is not None:
         print(f"Written to {report}")

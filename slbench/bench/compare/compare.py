@@ -351,6 +351,7 @@ def _result(
         bias_mm=float(np.mean(found.error_mm[common, 2])),
         rms_mm=float(np.sqrt(found.square_mm2[common].sum() / found.scans[common].sum())),
         order_error_rate=found.order_error_rate,
+        right=found.right,
         completeness=found.completeness,
         seconds=found.seconds,
         steps=found.steps,

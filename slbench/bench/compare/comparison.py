@@ -44,8 +44,8 @@ class Step(NamedTuple):
 class SetResult:
     """Repeated scans with one pattern set.
 
-    All but ``order_error_rate`` and ``completeness`` is for the pixels of the comparison, the
-    same for all sets.
+    All but ``order_error_rate``, ``right`` and ``completeness`` is for the pixels of the
+    comparison, the same for all sets.
 
     Parameters
     ----------
@@ -82,6 +82,10 @@ class SetResult:
     order_error_rate : float
         Share of wrong fringe orders among the measured pixels of all repeats on smooth lit
         surface (:meth:`slbench.bench.compare.sets.PatternSet.tolerance_px`).
+    right : float
+        Share of smooth lit pixels whose panel coordinates were measured to within two panel
+        pixels, the same for all sets (:data:`slbench.bench.compare.repeated.RIGHT_PX`), mean over
+        the repeats.
     completeness : float
         Share of lit pixels that were measured, mean over the repeats.
     seconds : float
@@ -113,6 +117,7 @@ class SetResult:
     bias_mm: float
     rms_mm: float
     order_error_rate: float
+    right: float
     completeness: float
     seconds: float
     steps: tuple[Step, ...]
@@ -154,6 +159,7 @@ class SetResult:
             "bias_mm": self.bias_mm,
             "rms_mm": self.rms_mm,
             "order_error_rate": self.order_error_rate,
+            "right": self.right,
             "completeness": self.completeness,
             "steps": [step._asdict() for step in self.steps],
             "note": self.note,

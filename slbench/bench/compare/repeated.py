@@ -21,7 +21,7 @@ from slbench.bench.compare.sets import PatternSet
 from slbench.capture.fusion import FusionWeights
 from slbench.capture.stack import WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
-from slbench.patterns import NoiseModel, PhaseMap
+from slbench.patterns import Axis, NoiseModel, PhaseMap
 from slbench.patterns.matching.bound import cramer_rao
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
@@ -33,6 +33,8 @@ from slbench.simulate.transport import LightTransport
 Array = NDArray[np.float64]
 #: Pixels that stand for all where the bound is computed.
 _BOUND_PIXELS = 2000
+#: A coordinate this near the truth is measured rightly, panel pixels: blur takes no code that far.
+RIGHT_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ class Repeats:
     bound_over_predicted : float
         Cramer-Rao bound over the decoder's predicted deviation, median over the pixels; NaN where
         there is no bound (a Gray code alone, a focus stack).
-    order_error_rate, completeness, seconds : float
+    order_error_rate, right, completeness, seconds : float
     exposure_s : float
     steps : tuple of Step
     stages : dict of str to float
@@ -74,6 +76,7 @@ class Repeats:
     sampling_mm: Array
     bound_over_predicted: float
     order_error_rate: float
+    right: float
     completeness: float
     seconds: float
     exposure_s: float
@@ -119,7 +122,7 @@ def scan_repeats(
     place[pixels] = np.arange(len(pixels))
     true = truth.point.reshape(-1, 3)[pixels]
     sums = _Sums(len(pixels))
-    wrong, lit_points, exposure_s = 0, 0, float("nan")
+    wrong, far, lit_points, exposure_s = 0, 0, 0, float("nan")
     times: list[float] = []
     heights: list[dict[tuple[int, str], StepScore]] = []
     stages = dict.fromkeys(("capture", "decode", "reconstruct", "sum up", "floor"), 0.0)
@@ -142,7 +145,8 @@ def scan_repeats(
         at = at[chosen]
         variance = cloud.sigma_total_mm[chosen] ** 2
         sums.add(at, cloud.points[chosen] - true[at], variance)
-        wrong += _order_errors(given, phase, truth, flat[chosen])
+        wrong += _beyond(given.tolerance_px, phase, truth, flat[chosen])
+        far += _beyond(lambda axis: RIGHT_PX, phase, truth, flat[chosen])
         lit_points += int(np.count_nonzero(truth.lit.ravel()[flat]))
         if r == 0 and len(transports) == 1:
             bound = _bound(given, phase, shots.noise or NoiseModel(), flat[chosen])
@@ -171,6 +175,7 @@ def scan_repeats(
         sampling,
         bound,
         wrong / measured if measured else float("nan"),
+        (measured - far) / (repeats * len(pixels)) if len(pixels) else float("nan"),
         lit_points / (repeats * lit) if lit else float("nan"),
         float(np.median(times)),
         exposure_s,
@@ -251,14 +256,17 @@ def _add(at: Any, error: Any, scans: Any, mean: Any, squares: Any, square: Any) 
             square[p] += error[i, k] ** 2
 
 
-def _order_errors(
-    given: PatternSet, phase: PhaseMap, truth: GroundTruth, flat: NDArray[np.intp]
+def _beyond(
+    limit_px: Callable[[Axis], float], phase: PhaseMap, truth: GroundTruth, flat: NDArray[np.intp]
 ) -> int:
-    """Count the pixels (flat indices) whose coordinate along any axis is of a wrong order."""
+    """Count the pixels (flat indices) whose coordinate is further off than a limit of its axis.
+
+    A limit of zero px is the cell that a pixel was found in.
+    """
     wrong = np.zeros(len(flat), bool)
     for axis, coordinate in phase.coordinate.items():
         true = truth.panel[..., "uv".index(axis)].ravel()[flat]
-        limit = given.tolerance_px(axis)
+        limit: float | Array = limit_px(axis)
         if not limit:  # half a cell, whose deviation is that of a uniform error, and half a pixel
             limit = 0.5 + np.sqrt(3.0) * phase.sigma[axis].ravel()[flat]
         wrong |= np.abs(coordinate.ravel()[flat] - true) > limit

@@ -87,6 +87,7 @@ def _sets(comparison: Comparison) -> Table:
         "of bound / %",
         *(f"{name} / {error.name}" for name in ("error", "floor", "sampling", "bias", "RMS")),
         "order errors",
+        "right / %",
         "complete / %",
     )
     rows = tuple(
@@ -103,6 +104,7 @@ def _sets(comparison: Comparison) -> Table:
             error.per_mm * one.bias_mm,
             error.per_mm * one.rms_mm,
             one.order_error_rate,
+            100.0 * one.right,
             100.0 * one.completeness,
         )
         for one in sets
@@ -117,8 +119,8 @@ def _sets(comparison: Comparison) -> Table:
         "below, over std. "
         "error: RMS distance from the truth, median over the pixels; floor: the same "
         "without noise; sampling: the part of the floor that more samples take away; RMS over all "
-        "pixels. Order errors and completeness: of all that was measured, of all that is lit. "
-        + verdict(comparison)
+        "pixels. Order errors: of all that was measured. right: within two panel pixels, of all "
+        "smooth lit surface. complete: of all that is lit. " + verdict(comparison)
     )
     notes = [f"{{{one.name}}}: {one.note}." for one in comparison.sets if one.note]
     return Table("Pattern sets", columns, rows, " ".join([note, *notes]))

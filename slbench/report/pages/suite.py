@@ -21,7 +21,7 @@ def suite_tables(suite: Suite) -> tuple[Table, ...]:
         (
             "Measured rightly / %",
             lambda one: 100.0 * one.right,
-            "Share of the lit pixels that were measured, with the right order.",
+            "Share of the smooth lit pixels that were measured to within two panel pixels.",
         ),
         (
             "Distance from the truth / µm",
@@ -47,6 +47,15 @@ def suite_tables(suite: Suite) -> tuple[Table, ...]:
     if suite.findings:
         found.append(_findings(suite))
     return tuple(found)
+
+
+def findings_lines(suite: Suite) -> list[str]:
+    """Return what the literature states and what came out here, a line each."""
+    rows = (row for row in _findings(suite).texts())
+    return [
+        f"{here}: {text} ({source}) on {scene}: {better}, {worse}."
+        for text, source, scene, better, worse, here in rows
+    ]
 
 
 def _findings(suite: Suite) -> Table:

@@ -87,15 +87,18 @@ class TestAgainstBruteForce:
         truth = truth_of("step-block-grainy")
         smooth = truth.smooth()
         for name, half in (("1,20", 640 / 40), ("gray+16@4", 640 / 32)):
-            wrong = measured = lit = 0
+            wrong = near = measured = lit = 0
             for phase, _ in scans[name]:
                 for v, u in np.argwhere(phase.mask):
                     lit += bool(truth.lit[v, u])
                     if smooth[v, u]:
                         measured += 1
-                        wrong += abs(phase.coordinate["u"][v, u] - truth.panel[v, u, 0]) > half
+                        off = abs(phase.coordinate["u"][v, u] - truth.panel[v, u, 0])
+                        wrong += off > half
+                        near += off <= 2.0
             one = noisy[name]
             assert one.order_error_rate == wrong / measured
+            assert one.right == near / (REPEATS * np.count_nonzero(smooth))
             assert one.completeness == lit / (REPEATS * np.count_nonzero(truth.lit))
         assert noisy["1,20"].order_error_rate > 0.05
         assert noisy["gray+16@4"].order_error_rate < 0.001
@@ -162,7 +165,7 @@ class TestDraws:
 
     def test_what_a_set_measures_does_not_depend_on_the_others(self):
         alone, among = small_comparison(("1,2,4",)), small_comparison(THREE)
-        for name in ("order_error_rate", "completeness", "steps"):
+        for name in ("order_error_rate", "right", "completeness", "steps"):
             assert getattr(alone["1,2,4"], name) == getattr(among["1,2,4"], name)
         both = np.isfinite(among["1,2,4"].std_mm)
         np.testing.assert_array_equal(alone["1,2,4"].std_mm[both], among["1,2,4"].std_mm[both])
@@ -535,7 +538,7 @@ class TestResults:
         assert {path.name for path in written} == names == {p.name for p in folder.iterdir()}
         stored = read_json(folder / "comparison.json")
         keys = {"name", "frames", "std_median_mm", "std_ci95_mm", "rms_mm"}
-        keys |= {"order_error_rate", "completeness"}
+        keys |= {"order_error_rate", "right", "completeness"}
         assert [one["name"] for one in stored["sets"]] == list(THREE)
         assert all(keys <= set(one) for one in stored["sets"])
         maps = read_exr(folder / "maps" / "1_10_50.exr")

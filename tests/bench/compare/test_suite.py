@@ -57,8 +57,7 @@ def outcome(error_um, ci_um=None, complete=1.0):
     found = SimpleNamespace(
         error_median_mm=1e-3 * error_um,
         error_ci95_mm=(1e-3 * low, 1e-3 * high),
-        completeness=complete,
-        order_error_rate=0.0,
+        right=complete,
     )
     return Outcome("s", "x", found)
 
