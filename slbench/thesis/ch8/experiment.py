@@ -63,8 +63,9 @@ class Size:
     ----------
     settings : int
         Focus settings of a stack.
-    noise_divisor, noise_heights, noise_repeats, noise_fringes : int
-        Noise of one picture; the last is the largest count.
+    noise_divisor, noise_samples, noise_heights, noise_repeats, noise_fringes : int
+        Noise of one picture; the last is the largest count.  Of samples, washed-out fringes need
+        many.
     fused_heights, fused_repeats : int
         Noise of fused stacks, at twice the divisor.
     calibration_divisor, z_steps, y_steps, draws : int
@@ -82,6 +83,7 @@ class Size:
 
     settings: int
     noise_divisor: int
+    noise_samples: int
     noise_heights: int
     noise_repeats: int
     noise_fringes: int
@@ -103,6 +105,7 @@ class Size:
 FULL = Size(
     settings=7,
     noise_divisor=8,
+    noise_samples=256,
     noise_heights=11,
     noise_repeats=8,
     noise_fringes=128,
@@ -123,6 +126,7 @@ FULL = Size(
 PREVIEW = Size(
     settings=2,
     noise_divisor=16,
+    noise_samples=9,
     noise_heights=5,
     noise_repeats=4,
     noise_fringes=32,
@@ -228,8 +232,8 @@ def measure_noise(size: Size, seed: int, report: Progress) -> dict[str, PhaseNoi
     half = 0.5 * stack.rig.volume_mm[2]
     counts = [2**k for k in range(size.noise_fringes.bit_length())]
     few = [n for n in counts if n in (1, 4, 16, 32)]
-    single = replace(stack.coarser(size.noise_divisor, size.samples), focus=None)
-    coarse = stacked(stack, size.settings).coarser(2 * size.noise_divisor, size.samples)
+    single = replace(stack.coarser(size.noise_divisor, size.noise_samples), focus=None)
+    coarse = stacked(stack, size.settings).coarser(2 * size.noise_divisor, size.noise_samples)
     still = replace(coarse, focus=Focus.sweep(coarse.rig, [0.0] * size.settings))
     fused = (few, size.fused_heights, size.fused_repeats)
     ways: dict[str, tuple[Scene, Any, float | None, list[int], int, int]] = {
