@@ -52,6 +52,7 @@ from slbench.patterns import (
     decode,
     pattern_codes,
 )
+from slbench.patterns.crosstalk import amplified, unmixed
 from slbench.rig import ALONE, Camera, Pair, Rig
 from slbench.rig.opencv import read_rig, write_rig
 
@@ -181,6 +182,20 @@ class Capture(Value):
         if self.saturation_dn is not None:
             return self.saturation_dn
         return inf if self.bit_depth is None else 2**self.bit_depth - 1
+
+    def apart(self) -> Capture:
+        """Return the channels of colour pictures as frames of their own; itself without any."""
+        matrix, noise = self.sequence.crosstalk, self.noise
+        if matrix is None:
+            return self
+        return replace(
+            self,
+            frames=unmixed(self.frames, matrix, noise.offset_dn if noise else 0.0, self.top_dn),
+            sequence=replace(self.sequence, crosstalk=None),
+            noise=None if noise is None else amplified(noise, matrix),
+            bit_depth=None,
+            saturation_dn=None,
+        )
 
     def decode(self, min_modulation: float | None = None, **options: Any) -> PhaseMap:
         """Decode the frames.

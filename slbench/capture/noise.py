@@ -8,7 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture
-from slbench.patterns import NoiseModel, PhaseMap, Rule
+from slbench.patterns import Fringes, NoiseModel, PhaseMap, Rule
+from slbench.patterns.crosstalk import left_over
+from slbench.patterns.fringes.weights import fit_design
 
 #: Where the noise of predicted deviations comes from.
 NoiseKind = Literal["stated", "measured", "lower bound"]
@@ -64,12 +66,15 @@ def _from_fits(capture: Capture, phase: PhaseMap) -> list[tuple[Array, Array]]:
     for placed in capture.sequence.placed():
         left = phase.evidence.get(placed.index, {}).get("fit_residual_dn")
         # What the lens takes of other codes' edges is left over too, and is no noise.
-        sinusoid = placed.code.fringe_count(capture.sequence.panel) is not None
-        if left is None or chosen.size == 0 or not sinusoid:
+        if left is None or chosen.size == 0 or not isinstance(placed.code, Fringes):
             continue
         frames = capture.frames[placed.frames.start : placed.frames.stop]
         mean = frames.reshape(len(frames), -1)[:, chosen].mean(axis=0)
         squares = left.ravel()[chosen].astype(np.float64) ** 2
+        matrix = capture.sequence.crosstalk
+        if matrix is not None:  # the fit is to the channels as they would be alone
+            steps = placed.code.steps(capture.sequence.size(placed.code.axis))
+            squares /= left_over(matrix, fit_design(steps), placed.frames.start)
         found.append((mean, squares / _trimmed_mean(len(placed.frames) - 3)))
     return found
 

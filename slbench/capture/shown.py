@@ -19,6 +19,8 @@ from slbench.patterns import PatternSequence, pattern_codes
 
 #: Where photographs are looked for, under the names of the pictures.
 PHOTOGRAPHS = "photographs"
+#: Channels of a colour picture, as a manifest names them.
+CHANNELS = "rgb"
 SHOWN_FOLDER = OutputFolder("patterns", ("patterns", MANIFEST, "*.py"))
 
 
@@ -26,7 +28,7 @@ SHOWN_FOLDER = OutputFolder("patterns", ("patterns", MANIFEST, "*.py"))
 def pictures(
     sequence: PatternSequence, *, bits: PanelBits = 8, gamma: Gamma = 1.0, border_px: Whole = 0
 ) -> Iterator[NDArray[np.unsignedinteger]]:
-    """Make the pictures of a sequence for a projector, one a frame.
+    """Make the pictures of a sequence for a projector, one a frame, or colour pictures.
 
     Parameters
     ----------
@@ -42,25 +44,37 @@ def pictures(
 
     Yields
     ------
-    (H, W) uint8 or uint16
+    (H, W) or (H, W, 3) uint8 or uint16
+        Colour where the sequence has ``crosstalk``: its channels in the order red, green, blue.
 
     Raises
     ------
     InputError
-        For a border that leaves nothing of the panel.
+        For a border that leaves nothing of the panel, or more channels than a picture has.
     """
+    if sequence.channels > len(CHANNELS):
+        expected = f"at most {len(CHANNELS)} channels a picture"
+        raise InputError("patterns: crosstalk", expected, sequence.channels)
     width, height = sequence.panel
     if 2 * border_px >= min(width, height):
         raise InputError("border_px", f"less than half of {min(width, height)} px", border_px)
     top, kind = (255, np.uint8) if bits <= 8 else (65535, np.uint16)
     levels = 2**bits - 1
-    for k in range(sequence.n_frames):
+    lit = np.zeros((height, width), bool)
+    lit[border_px : height - border_px, border_px : width - border_px] = True
+
+    def picture(k: int) -> NDArray[np.unsignedinteger]:
         value = np.rint(sequence.image(k) ** (1.0 / gamma) * levels) / levels
-        if border_px:
-            inside = np.zeros(value.shape, bool)
-            inside[border_px:-border_px, border_px:-border_px] = True
-            value[~inside] = 0.0
-        yield np.rint(value * top).astype(kind)
+        return np.rint(np.where(lit, value, 0.0) * top).astype(kind)
+
+    for first in range(0, sequence.n_frames, sequence.channels):
+        if sequence.crosstalk is None:
+            yield picture(first)
+            continue
+        colour = np.zeros((height, width, len(CHANNELS)), kind)
+        for i in range(sequence.channels):
+            colour[..., i] = picture(first + i)
+        yield colour
 
 
 def write_pictures(
@@ -86,7 +100,9 @@ def write_pictures(
     InputError
         As :func:`pictures`, and if what slbench did not write is in the way.
     """
-    names = [f"{k:03d}.png" for k in range(sequence.n_frames)]
+    channels = sequence.channels
+    names = [f"{k:03d}.png" for k in range(sequence.n_frames // channels)]
+    of_each = [""] if sequence.crosstalk is None else [f"#{c}" for c in CHANNELS[:channels]]
     made = pictures(sequence, bits=bits, gamma=gamma, border_px=border_px)
     parameters: dict[str, Any] = {
         "patterns": sequence.name,
@@ -100,7 +116,7 @@ def write_pictures(
             write_png(temporary / "patterns" / name, picture)
         manifest: dict[str, Any] = {
             "format": 1,
-            "frames": [f"{PHOTOGRAPHS}/{name}" for name in names],
+            "frames": [f"{PHOTOGRAPHS}/{name}{channel}" for name in names for channel in of_each],
             "patterns": sequence.to_dict(temporary),
         }
         origins = (pattern_codes.origin(part.kind) for part in sequence.parts)

@@ -253,7 +253,7 @@ def decode_capture(
     phase = decoded_with(capture.noise or NoiseModel())
     noise, kind = noise_of(capture, phase)
     exposure = exposure_doubt(capture, phase)
-    doubts = [exposure] if exposure else manifest_doubts(capture, phase)
+    doubts = [exposure] if exposure else manifest_doubts(capture.apart(), phase)
     if kind == "measured":
         phase = decoded_with(noise, min_snr=0.0)
     cloud, gap, lost = None, None, {}

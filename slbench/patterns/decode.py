@@ -19,6 +19,7 @@ from slbench.core.errors import InputError
 from slbench.core.show.display import block, share
 from slbench.core.show.drawing import figure
 from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observed, Rule
+from slbench.patterns.crosstalk import amplified, carried_sigma, unmixed
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
 
@@ -148,6 +149,14 @@ def decode(
     InputError
         For frames that do not fit the sequence, or a sequence that cannot be unwrapped.
     """
+    if sequence.crosstalk is not None:
+        limits = {
+            "min_modulation": min_modulation,
+            "min_snr": min_snr,
+            "max_order_residual": max_order_residual,
+        }
+        kept = {"keep_relative": keep_relative, "keep_evidence": keep_evidence}
+        return _decode_mixed(frames, sequence, noise, saturation, limits, kept)
     pixels = _flatten(frames, sequence)
     for name, value in (("min_modulation", min_modulation), ("min_snr", min_snr)):
         if not (np.isfinite(value) and value >= 0.0):
@@ -156,11 +165,7 @@ def decode(
         max_order_residual = sequence.max_order_residual
     elif not 0.0 < max_order_residual <= 0.5:
         raise InputError("decode: max_order_residual", "a number in (0, 0.5]", max_order_residual)
-    if saturation is None:
-        integer = pixels.dtype.kind == "u"
-        saturation = float(np.iinfo(pixels.dtype).max) if integer else inf
-    elif np.isnan(saturation):
-        raise InputError("decode: saturation", "a number", saturation)
+    saturation = _saturation(saturation, pixels)
     observed = Observed(
         pixels=pixels,
         shape=frames.shape[1:],
@@ -218,6 +223,39 @@ def decode(
         if keep_evidence
         else None,
     )
+
+
+def _decode_mixed(
+    frames: NDArray[Any],
+    sequence: PatternSequence,
+    noise: NoiseModel | None,
+    saturation: float | None,
+    limits: Mapping[str, Any],
+    kept: Mapping[str, bool],
+) -> PhaseMap:
+    """Decode the channels of colour pictures as if each had been a picture of its own."""
+    assert sequence.crosstalk is not None  # by decode
+    matrix, alone = sequence.crosstalk, replace(sequence, crosstalk=None)
+    _flatten(frames, alone)
+    own = NoiseModel() if noise is None else noise
+    clean = unmixed(frames, matrix, own.offset_dn, _saturation(saturation, frames))
+    louder = amplified(own, matrix)
+    found = decode(clean, alone, noise=louder, **limits, **kept)
+
+    def coordinates(moved: AnyFloatArray) -> dict[Axis, FloatArray]:
+        return decode(moved, alone, noise=louder, **limits).coordinate
+
+    values = {axis: (found.coordinate[axis], found.sigma[axis]) for axis in found.coordinate}
+    return replace(found, sigma=carried_sigma(coordinates, clean, frames, matrix, own, values))
+
+
+def _saturation(given: float | None, frames: NDArray[Any]) -> float:
+    """Return the value at and above which a pixel is saturated."""
+    if given is None:
+        return float(np.iinfo(frames.dtype).max) if frames.dtype.kind == "u" else inf
+    if np.isnan(given):
+        raise InputError("decode: saturation", "a number", given)
+    return given
 
 
 def _dropped(

@@ -25,7 +25,7 @@ from slbench.core.registry import quoted
 from slbench.core.show.display import block
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
-from slbench.core.validation.types import MinLen, OrderResidual, Pixels
+from slbench.core.validation.types import MinLen, NotNegative, OrderResidual, Pixels
 from slbench.core.validation.values import Value, checked, validated
 from slbench.patterns.base import (
     Axis,
@@ -37,6 +37,7 @@ from slbench.patterns.base import (
     extent,
     flat_frames,
 )
+from slbench.patterns.crosstalk import check_crosstalk
 from slbench.patterns.registry import pattern_codes
 
 #: Largest residual of a fringe order that is believed, turns, unless said otherwise.
@@ -76,24 +77,37 @@ class PatternSequence(Value):
     max_order_residual : float
         Largest residual of a fringe order that is believed, turns: the order before it is rounded
         less the whole number that it is rounded to.  A half believes all.
+    crosstalk : tuple of K tuples of K float, optional
+        Every K frames in a row are the channels of one colour picture, and row i says which share
+        of each camera channel i sees (:mod:`slbench.patterns.crosstalk`).
 
     Raises
     ------
     InputError
         For a panel or parts that cannot be shown: no parts, more fringes than the panel
-        has pixels for (three each), a Gray code twice on an axis or on a single column.
+        has pixels for (three each), a Gray code twice on an axis or on a single column; channels
+        that fill no pictures, cannot be told apart or vary along different axes.
     """
 
     panel: tuple[Pixels, Pixels]
     parts: Annotated[tuple[Code, ...], MinLen(1)]
     unwrap: Unwrap = "auto"
     max_order_residual: OrderResidual = MAX_ORDER_RESIDUAL
+    crosstalk: tuple[tuple[NotNegative, ...], ...] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for i, part in enumerate(self.parts):
             with _located(f"patterns: parts[{i}]"):
                 part.check(self.panel, self.parts[:i])
+        if self.crosstalk is not None:
+            check_crosstalk(self.crosstalk, self.n_frames)
+            for first in range(0, self.n_frames, self.channels):
+                own = self._carriers()[first : first + self.channels]
+                if len(set(own)) > 1:
+                    expected = "channels of a picture that vary along one axis"
+                    got = f"frames {first} to {first + self.channels - 1} along {' and '.join(own)}"
+                    raise InputError("patterns: crosstalk", expected, got)
 
     def __repr__(self) -> str:
         (width, height), axes = self.panel, " and ".join(self.axes) or "no axis"
@@ -130,9 +144,9 @@ class PatternSequence(Value):
     def name(self) -> str:
         """Short text such as ``"gray+1,10,50@4"``, which :meth:`parse` reads back.
 
-        The coded axes are not part of it, nor is `max_order_residual`; and what the short text has
-        no word for (a grey flat, a Gray code without inverses, two axes coded differently, the
-        direction of fringes) is shown but not parsed.
+        The coded axes are not part of it, nor are `max_order_residual` and `crosstalk`; and what
+        the short text has no word for (a grey flat, a Gray code without inverses, two axes coded
+        differently, the direction of fringes) is shown but not parsed.
         """
         texts = {axis: self._text((axis,)) for axis in self.axes}
         alike = len(set(texts.values())) <= 1
@@ -207,6 +221,11 @@ class PatternSequence(Value):
         return max(sets, key=lambda p: (p.code.fringe_count(self.panel) or 0, p.index))
 
     @property
+    def channels(self) -> int:
+        """Number of frames that one picture of the camera holds: 1, or those of `crosstalk`."""
+        return 1 if self.crosstalk is None else len(self.crosstalk)
+
+    @property
     def lit_frame(self) -> int | None:
         """Index of the first fully lit frame (white), None if there is none."""
         return next(iter(flat_frames(self.placed(), 1.0)), None)
@@ -231,10 +250,22 @@ class PatternSequence(Value):
         return tuple(dict.fromkeys(along for along in found if along is not None)) or ("u",)
 
     def frames_along(self, along: Variation) -> NDArray[np.intp]:
-        """Return the indices of the frames that vary so, increasing; flat ones with the first."""
-        chosen = {along, None} if along == self.variations[0] else {along}
-        own = [k for k, frame in enumerate(self.frames()) if frame.along in chosen]
+        """Return the indices of the frames that vary so, increasing.
+
+        Flat ones come with the others of their picture, or with the first.
+        """
+        own = [k for k, carrier in enumerate(self._carriers()) if carrier == along]
         return np.array(own, dtype=np.intp)
+
+    def _carriers(self) -> list[Variation]:
+        """Return by which light transport each frame is exposed."""
+        along = [frame.along for frame in self.frames()]
+        carriers: list[Variation] = []
+        for first in range(0, len(along), self.channels):
+            own = along[first : first + self.channels]
+            usual = next((one for one in own if one is not None), self.variations[0])
+            carriers += [one or usual for one in own]
+        return carriers
 
     def shown(self, indices: NDArray[np.intp], along: Variation) -> NDArray[np.float64]:
         """Return what frames of :meth:`frames_along` show, in [0, 1].
@@ -296,6 +327,8 @@ class PatternSequence(Value):
         usual = {f.name: f.default for f in fields(self)}
         beside = {key: getattr(self, key) for key in ("unwrap", "max_order_residual")}
         kept = {key: value for key, value in beside.items() if value != usual[key]}
+        if self.crosstalk is not None:
+            kept["crosstalk"] = [list(row) for row in self.crosstalk]
         return {"panel": list(self.panel), "parts": parts} | kept
 
     @classmethod
@@ -318,7 +351,8 @@ class PatternSequence(Value):
             _part_from_dict(f"patterns: parts[{i}]", table, folder)
             for i, table in enumerate(given.parts)
         ]
-        return cls(given.panel, tuple(parts), given.unwrap, given.max_order_residual)
+        beside = (given.unwrap, given.max_order_residual, given.crosstalk)
+        return cls(given.panel, tuple(parts), *beside)
 
     @classmethod
     def parse(
@@ -375,6 +409,7 @@ class SequenceTable(Value):
     parts: Annotated[tuple[Mapping[str, Any], ...], MinLen(1)]
     unwrap: Unwrap = "auto"
     max_order_residual: OrderResidual = MAX_ORDER_RESIDUAL
+    crosstalk: tuple[tuple[NotNegative, ...], ...] | None = None
 
 
 @contextmanager

@@ -14,6 +14,7 @@ anything else (lists too) is replaced.  What several scenes share thus stands on
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -195,8 +196,11 @@ def _build(
         name=file.name,
         rig=rig,
         objects=scene_objects,
-        sequence=PatternSequence.parse(
-            file.patterns.sequence, panel, file.patterns.shifts, file.patterns.axes
+        sequence=replace(
+            PatternSequence.parse(
+                file.patterns.sequence, panel, file.patterns.shifts, file.patterns.axes
+            ),
+            crosstalk=file.patterns.crosstalk,
         ),
         detector=detector_of(file.detector, f"{path.name}: detector"),
         exposure=Exposure(

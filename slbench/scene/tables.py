@@ -252,6 +252,7 @@ class PatternsTable(Parameters):
     sequence: str = "1,10,50"
     shifts: Shifts = 3
     axes: str = "u"
+    crosstalk: tuple[tuple[NotNegative, ...], ...] | None = None
 
 
 class RenderTable(Parameters):

@@ -18,6 +18,8 @@ from slbench.core.errors import InputError
 from slbench.core.random import Word, generator
 from slbench.detector import DetectorModel
 from slbench.patterns import NoiseModel, PatternSequence, panel_response
+from slbench.patterns.base import Variation
+from slbench.patterns.crosstalk import mixed
 from slbench.rig import Camera, Projector, Rig
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Exposure, Scene
@@ -90,11 +92,15 @@ def capture(
     dtype = np.uint8 if detector.bit_depth == 8 else np.uint16
     frames = np.empty(shape, dtype)
     rng = generator(seed, Word.NOISE)
-    shake = generator(seed, Word.VIBRATION) if noise else None
+    moves = None
+    if noise and exposure.vibration_px > 0:  # channels of a picture move together
+        moves = generator(seed, Word.VIBRATION).normal(
+            0.0, exposure.vibration_px, (-(-len(frames) // sequence.channels), 2)
+        )
     done = 0
     for indices, radiance in radiance_batches(transport, sequence, rig.projector):
-        if shake is not None and exposure.vibration_px > 0:
-            _vibrate(radiance, exposure.vibration_px, shake)
+        if moves is not None:
+            _move(radiance, moves[indices // sequence.channels])
         frames[indices] = detector.expose(radiance, exposure_s, rng, noise, factor)
         done += len(indices)
         if on_progress:
@@ -118,10 +124,21 @@ def radiance_batches(
     for along in sequence.variations:
         indices = sequence.frames_along(along)
         for part in transport.batches(len(indices), along=along):
-            panel = panel_response(
-                sequence.shown(indices[part], along), projector.bit_depth, projector.gamma
-            )
+            panel = _emitted(sequence, indices[part], along, projector)
             yield indices[part], transport.relight(panel, along)
+
+
+def _emitted(
+    sequence: PatternSequence, indices: NDArray[np.intp], along: Variation, projector: Projector
+) -> NDArray[np.float64]:
+    """Return what the panel emits in frames, as their channels of the camera see it."""
+    if sequence.crosstalk is None:
+        shown = sequence.shown(indices, along)
+        return panel_response(shown, projector.bit_depth, projector.gamma)
+    firsts = np.unique(indices - indices % sequence.channels)
+    whole = (firsts[:, np.newaxis] + np.arange(sequence.channels)).ravel()
+    shown = panel_response(sequence.shown(whole, along), projector.bit_depth, projector.gamma)
+    return mixed(shown, sequence.crosstalk)[np.searchsorted(whole, indices)]
 
 
 def shutter_for(
@@ -155,9 +172,9 @@ def shutter_for(
     return Shutter(factor, factor / per_second if per_second else NOMINAL_EXPOSURE_S)
 
 
-def _vibrate(frames: NDArray[np.float32], sigma_px: float, rng: np.random.Generator) -> None:
-    """Shift each frame by a random sub-pixel amount, in place (edges repeat)."""
-    for frame, (du, dv) in zip(frames, rng.normal(0.0, sigma_px, (len(frames), 2)), strict=True):
+def _move(frames: NDArray[np.float32], moves: NDArray[np.float64]) -> None:
+    """Shift each frame by a sub-pixel amount (n, 2), in place (edges repeat)."""
+    for frame, (du, dv) in zip(frames, moves, strict=True):
         shifted = cv2.sepFilter2D(
             frame, -1, _shift_kernel(du), _shift_kernel(dv), borderType=cv2.BORDER_REPLICATE
         )

@@ -18,10 +18,10 @@ from slbench.simulate.transport import LightTransport, Marginal
 
 
 def with_lit_frame(sequence: PatternSequence) -> PatternSequence:
-    """Return the patterns with a fully lit frame first, unless they have one."""
+    """Return the patterns with a fully lit picture first, unless they have a lit frame."""
     if sequence.lit_frame is not None:
         return sequence
-    return replace(sequence, parts=(Flat(1.0), *sequence.parts))
+    return replace(sequence, parts=(*(Flat(1.0),) * sequence.channels, *sequence.parts))
 
 
 def traced(

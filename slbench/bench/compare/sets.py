@@ -141,6 +141,8 @@ def with_frames(given: PatternSet, frames: int) -> PatternSet:
     sequence, missing = given.sequence, frames - given.frames
     if missing <= 0:
         return given
+    if sequence.crosstalk is not None:
+        return replace(given, note=f"keeps its {given.frames} frames: they fill colour pictures")
     last = {axis: placed for axis in sequence.axes if (placed := sequence.finest(axis))}
     if not last:
         return replace(given, note=f"keeps its {given.frames} frames: no fringes to shift further")

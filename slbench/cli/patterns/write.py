@@ -31,7 +31,7 @@ def write(
     sequence.runs()  # says what is missing where it cannot be decoded
     SHOWN_FOLDER.check(out, "--out")
     write_pictures(sequence, out, bits=bits, gamma=gamma, border_px=border_px)
-    count = sequence.n_frames
+    count = sequence.n_frames // sequence.channels
     print(
         f"Written to {out}: project {out / 'patterns'} in order, put the {count} photographs into "
         f"{out / PHOTOGRAPHS} under the same names, then: slbench decode {out}"

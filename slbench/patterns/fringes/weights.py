@@ -49,8 +49,13 @@ def fit_weights(steps: FloatArray) -> tuple[FloatArray, FloatArray]:
 
     The latter, (N, 2), is what frames have of the first two: cos e_k and sin e_k.
     """
-    design = np.stack([np.cos(steps), np.sin(steps), np.ones(len(steps))], axis=1)
+    design = fit_design(steps)
     return np.ascontiguousarray(np.linalg.pinv(design).T), np.ascontiguousarray(design[:, :2])
+
+
+def fit_design(steps: FloatArray) -> FloatArray:
+    """Return what frames have of b cos phi, b sin phi and the mean, (N, 3)."""
+    return np.stack([np.cos(steps), np.sin(steps), np.ones(len(steps))], axis=1)
 
 
 def noise_forms(steps: FloatArray) -> FloatArray:
