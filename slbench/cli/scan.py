@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -19,7 +19,6 @@ from slbench.cli.common import (
     progress,
 )
 from slbench.cli.lazy import command
-from slbench.core.errors import InputError
 from slbench.core.validation.types import Samples, Shifts
 
 if TYPE_CHECKING:
@@ -36,7 +35,9 @@ def scan(
     ] = None,
     patterns: Annotated[
         str | None,
-        typer.Option(help='Pattern sequence: "1,10,50", "1,16@8", "gray+16@8".'),
+        typer.Option(
+            help='"1,10,50", "gray+16@8"; a TOML file, a folder of pictures, mine.py:SET.'
+        ),
     ] = None,
     steps: Annotated[Shifts | None, typer.Option(help="Phase shifts of each fringe set.")] = None,
     axes: Annotated[Literal["u", "v", "uv"] | None, typer.Option(help="Coded panel axes.")] = None,
@@ -67,13 +68,8 @@ def scan(
 
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
     if patterns is not None or steps is not None or axes is not None:
-        given: dict[str, Any] = {"sequence": "1,10,50", "shifts": 3, "axes": "u"}
-        given |= loaded.specification.get("patterns", {})
-        text = given["sequence"] if patterns is None else patterns
-        if steps is not None and "@" in text:
-            raise InputError("--steps", "no shifts (@) in the patterns too", text)
-        loaded = loaded.with_patterns(
-            text, steps or given["shifts"], given["axes"] if axes is None else axes
+        loaded = loaded.with_changed_patterns(
+            patterns, steps, axes, allow_modules=allow_modules, names=("--steps", "--axes")
         )
     folder = out or Path("out") / loaded.name
     check_scan_folder(loaded, folder, "--out")

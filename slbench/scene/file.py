@@ -14,7 +14,6 @@ anything else (lists too) is replaced.  What several scenes share thus stands on
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,13 +29,14 @@ from slbench.core.registry import quoted
 from slbench.core.validation.values import validated
 from slbench.detector.base import DEFAULT as DEFAULT_DETECTOR
 from slbench.detector.base import detector_of
-from slbench.patterns import PatternSequence
+from slbench.patterns import PatternSequence, read_patterns
+from slbench.patterns.given import PatternsTable
 from slbench.rig import Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
 from slbench.scene.doubts import scene_doubts
 from slbench.scene.materials import PRESETS, Material
-from slbench.scene.model import Exposure, Light, Scene, SceneObject
+from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject
 from slbench.scene.tables import SceneTables
 
 #: Width of a preview where the scene states no divisor, px.
@@ -109,7 +109,7 @@ def _load(
     content = read_merged(path, allow_modules)
     file = validated(SceneTables, content, path.name, separator=": ")
     with located(path.name):
-        return _build(file, path, content, build_objects(file, path)), file
+        return _build(file, path, content, build_objects(file, path), allow_modules), file
 
 
 def read_merged(
@@ -188,7 +188,11 @@ def _of_another_kind(base: dict[str, Any], table: dict[str, Any]) -> bool:
 
 
 def _build(
-    file: SceneTables, path: Path, content: dict[str, Any], scene_objects: tuple[SceneObject, ...]
+    file: SceneTables,
+    path: Path,
+    content: dict[str, Any],
+    scene_objects: tuple[SceneObject, ...],
+    allow_modules: bool,
 ) -> Scene:
     rig = _rig(file, path.parent)
     panel = (rig.projector.width, rig.projector.height)
@@ -196,12 +200,7 @@ def _build(
         name=file.name,
         rig=rig,
         objects=scene_objects,
-        sequence=replace(
-            PatternSequence.parse(
-                file.patterns.sequence, panel, file.patterns.shifts, file.patterns.axes
-            ),
-            crosstalk=file.patterns.crosstalk,
-        ),
+        sequence=_patterns(file.patterns, panel, path.parent, allow_modules),
         detector=detector_of(file.detector, f"{path.name}: detector"),
         exposure=Exposure(
             None if file.exposure.time_ms is None else file.exposure.time_ms * 1e-3,
@@ -213,6 +212,23 @@ def _build(
         specification=content,
         focus=None if file.focus is None else file.focus.focus(rig),
     )
+
+
+def _patterns(
+    table: PatternsTable, panel: tuple[int, int], folder: Path, allow_modules: bool
+) -> PatternSequence:
+    """Return the scene's own patterns: parts, or what its ``sequence`` says or names."""
+    if table.parts is not None:
+        return read_patterns(table.content(panel), panel, folder=folder).sequence
+    found = read_patterns(
+        USUAL_PATTERNS if table.sequence is None else table.sequence,
+        panel,
+        shifts=table.shifts or 3,
+        axes=table.axes or "u",
+        folder=folder,
+        allow_modules=allow_modules,
+    )
+    return table.coloured(found.sequence)
 
 
 def _rig(file: SceneTables, folder: Path) -> Rig:

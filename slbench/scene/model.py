@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 from slbench.capture.focus import Focus
@@ -26,9 +27,12 @@ from slbench.core.validation.values import Value
 from slbench.detector.base import DetectorModel
 from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact
-from slbench.patterns import PatternSequence
+from slbench.patterns import GivenPatterns, PatternSequence, PatternSource, read_patterns
 from slbench.rig import Pose, Rig
 from slbench.scene.materials import Material
+
+#: What is projected on a scene that states no patterns.
+USUAL_PATTERNS = "1,10,50"
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,11 +159,87 @@ class Scene(Value):
             "" if self.focus is None else f"{len(self.focus)} focus settings",
         )
 
-    def with_patterns(self, text: str, shifts: int = 3, axes: str = "u") -> Self:
-        """Return the scene with another pattern sequence (see `PatternSequence.parse`)."""
-        return replace(
-            self, sequence=PatternSequence.parse(text, self.sequence.panel, shifts, axes)
+    def with_patterns(
+        self,
+        patterns: PatternSource,
+        shifts: int = 3,
+        axes: str = "u",
+        *,
+        folder: Path | None = None,
+        allow_modules: bool = False,
+    ) -> Self:
+        """Return the scene with other patterns.
+
+        Parameters
+        ----------
+        patterns : str, path, PatternSequence, Code or callable
+            Short text, a TOML file, a folder of pictures, ``module:object``, or an object
+            (:func:`slbench.patterns.read_patterns`, which has the parameters in full).
+        shifts : int
+            Phase shifts where short text states none.
+        axes : {"u", "v", "uv", "vu"}
+            Axes that short text codes.
+        folder : path, optional
+            Of the file that names the patterns.
+        allow_modules : bool
+            Run the Python modules that they name.
+        """
+        panel = self.sequence.panel
+        found = read_patterns(
+            patterns, panel, shifts=shifts, axes=axes, folder=folder, allow_modules=allow_modules
         )
+        return replace(self, sequence=found.sequence)
+
+    def with_changed_patterns(
+        self,
+        patterns: PatternSource | None,
+        shifts: int | None,
+        axes: str | None,
+        *,
+        folder: Path | None = None,
+        allow_modules: bool = False,
+        names: tuple[str, str] = ("shifts", "axes"),
+    ) -> Self:
+        """Return the scene with what a user states of its patterns; the rest is the scene's own.
+
+        Parameters
+        ----------
+        patterns, shifts, axes
+            As for :meth:`with_patterns`; None as the scene's file has it.
+        folder, allow_modules
+            Likewise.
+        names : (str, str)
+            What shifts and axes are called, for messages.
+
+        Raises
+        ------
+        InputError
+            Also for shifts or axes of patterns that state their own.
+        """
+        own = self.specification.get("patterns", {})
+        stated = [name for name, value in zip(names, (shifts, axes), strict=True) if value]
+        source = own.get("sequence", USUAL_PATTERNS) if patterns is None else patterns
+        panel, many = self.sequence.panel, shifts or own.get("shifts", 3)
+        along = axes or own.get("axes", "u")
+        if patterns is not None:
+            found = read_patterns(
+                *(source, panel),
+                shifts=many,
+                axes=along,
+                folder=folder,
+                allow_modules=allow_modules,
+            )
+        elif "parts" in own or not stated:
+            found = GivenPatterns(self.sequence.name, self.sequence, own_axes=True)
+        else:  # in words, or they could not be changed
+            changed = PatternSequence.parse(str(source), panel, many, along)
+            found = GivenPatterns(changed.name, changed, own_axes=False)
+        if stated and found.own_axes:
+            expected = f"none beside patterns that state their own, {found.name}"
+            raise InputError(stated[0], expected, shifts or axes)
+        if shifts is not None and "@" in str(source):
+            raise InputError(names[0], "no shifts (@) in the patterns too", source)
+        return replace(self, sequence=found.sequence)
 
     @property
     def rigs(self) -> tuple[Rig, ...]:

@@ -27,11 +27,11 @@ from slbench.core.validation.types import (
     Pair,
     Pixels,
     Samples,
-    Shifts,
     TiltDegrees,
     Vector,
     Vibration,
 )
+from slbench.patterns.given import PatternsTable
 from slbench.rig import Lens, Rig
 
 
@@ -244,15 +244,6 @@ class FocusTable(Parameters):
                 "projector": self.projector_mm or (kept[1],) * count,
             }
         )
-
-
-class PatternsTable(Parameters):
-    """``[patterns]``: the sequence, as :meth:`PatternSequence.parse` reads it."""
-
-    sequence: str = "1,10,50"
-    shifts: Shifts = 3
-    axes: str = "u"
-    crosstalk: tuple[tuple[NotNegative, ...], ...] | None = None
 
 
 class RenderTable(Parameters):

@@ -220,6 +220,64 @@ def test_everything_that_can_be_said_is_heard(tmp_path):
     assert scene.specification == values
 
 
+PARTS = PatternSequence.parse("gray+16@8", (640, 480)).to_dict()
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"parts": PARTS["parts"]},
+        PARTS,
+        {"sequence": "sets/mine.toml"},
+        {"sequence": "sets"},
+        {"sequence": "mine.py:SET"},
+    ],
+    ids=["parts", "whole", "file", "folder", "object"],
+)
+def test_patterns_are_given_in_every_form(tmp_path, table):
+    (tmp_path / "sets").mkdir()
+    for name in ("mine", "patterns"):
+        (tmp_path / "sets" / f"{name}.toml").write_text(tomli_w.dumps(PARTS))
+    (tmp_path / "mine.py").write_text(
+        "from slbench.patterns import Fringes, GrayCode\n"
+        "SET = [GrayCode('u'), Fringes(16, 8, 'u')]\n"
+    )
+    path = write(tmp_path, content() | {"patterns": table})
+    scene = load_scene(path, allow_modules=True)
+    assert scene.sequence == PatternSequence.parse("gray+16@8", (640, 480))
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ({"parts": PARTS["parts"], "shifts": 4}, "scene.toml: patterns.shifts: expected no such"),
+        ({"sequence": "1,8", "unwrap": "none"}, "unwrap: expected no such key without parts"),
+        ({"panel": [64, 64], "parts": PARTS["parts"]}, "panel"),
+        ({"sequence": "../mine.toml"}, "a relative path inside"),
+        ({"sequence": "mine.py:SET"}, "--allow-modules"),
+    ],
+)
+def test_patterns_that_contradict_are_refused(tmp_path, table, words):
+    assert words in str(refusal(tmp_path, content() | {"patterns": table}))
+
+
+def test_what_a_user_states_changes_the_scene_s_own_patterns(tmp_path):
+    scene = load_scene(write(tmp_path, content() | {"patterns": {"sequence": "1,8", "axes": "v"}}))
+    changed = scene.with_changed_patterns(None, 5, None)
+    assert changed.sequence == PatternSequence.parse("1,8", (640, 480), 5, "v")
+    changed = scene.with_changed_patterns("1,4", None, "uv")
+    assert changed.sequence == PatternSequence.parse("1,4", (640, 480), 3, "uv")
+    assert scene.with_changed_patterns(None, None, None).sequence == scene.sequence
+    for patterns, shifts, axes, where in (
+        (PARTS, None, "u", "axes"),
+        (PARTS, 4, None, "shifts"),
+        ("1,8@4", 5, None, "shifts"),
+    ):
+        with pytest.raises(InputError) as caught:
+            scene.with_changed_patterns(patterns, shifts, axes)
+        assert caught.value.where == where
+
+
 def test_defaults_are_the_classes_own(tmp_path):
     scene = load_scene(write(tmp_path, content()))
     assert scene.detector == Detector()

@@ -92,7 +92,10 @@ class _File(Parameters):
 
 @dataclass(frozen=True)
 class Settings:
-    """How a scene is measured: file, and what differs from it."""
+    """How a scene is measured: file, and what differs from it.
+
+    ``folder`` is that of the claims file, where it names patterns.
+    """
 
     scene: Path
     patterns: str | None = None
@@ -101,6 +104,7 @@ class Settings:
     samples: int | None = None
     preview: bool = False
     noise: bool = True
+    folder: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -198,12 +202,18 @@ class Claim:
         values = {
             "quantity": self.quantity,
             "relative_to": [r for r in relative if r] or None,
-            "settings": asdict(self.settings) | {"scene": self.settings.scene.name},
-            "versus": asdict(self.versus) | {"scene": self.versus.scene.name},
+            "settings": _identity(self.settings),
+            "versus": _identity(self.versus),
             "scans": self.scans if self.family == "set" else None,
             "equal": self.equal,
         }
         return {key: value for key, value in values.items() if value is not None}
+
+
+def _identity(settings: Settings) -> dict[str, Any]:
+    """Return settings wherever their files stand."""
+    values = asdict(settings) | {"scene": settings.scene.name}
+    return {name: value for name, value in values.items() if name != "folder"}
 
 
 def load_claims(
@@ -390,6 +400,8 @@ def _settings(table: _Settings, base: Settings, folder: Path, where: str = "") -
     """Return `base` with what a table gives."""
     given = {k: getattr(table, k) for k in _Settings.model_fields if k != "scene"}
     changed = replace(base, **{k: value for k, value in given.items() if value is not None})
+    if changed.patterns is not None:
+        changed = replace(changed, folder=folder)
     if where and table.scene is not None:
         changed = replace(changed, scene=_scene(table.scene, f"{where}.scene", folder))
     return changed

@@ -36,7 +36,7 @@ from slbench.bench.compare.compare import NothingToCompare, compare, own_shifts
 from slbench.bench.compare.comparison import SetResult
 from slbench.bench.compare.sets import pattern_sets
 from slbench.core import resources
-from slbench.core.errors import InputError, located
+from slbench.core.errors import located
 from slbench.core.io import plain
 from slbench.core.random import tagged_seed
 from slbench.core.show.display import length
@@ -303,12 +303,11 @@ def _load(settings: Settings, allow_modules: bool) -> Scene:
     """Load a scene and change what the settings change."""
     scene = load_scene(settings.scene, preview=settings.preview, allow_modules=allow_modules)
     if any(value is not None for value in (settings.patterns, settings.shifts, settings.axes)):
-        own: dict[str, Any] = {"sequence": "1,10,50", "shifts": 3, "axes": "u"}
-        own |= scene.specification.get("patterns", {})
-        text = settings.patterns or own["sequence"]
-        if settings.shifts is not None and "@" in text:
-            raise InputError("shifts", "no shifts (@) in the patterns too", text)
-        scene = scene.with_patterns(
-            text, settings.shifts or own["shifts"], settings.axes or own["axes"]
+        scene = scene.with_changed_patterns(
+            settings.patterns,
+            settings.shifts,
+            settings.axes,
+            folder=settings.folder,
+            allow_modules=allow_modules,
         )
     return scene if settings.samples is None else replace(scene, samples=settings.samples)

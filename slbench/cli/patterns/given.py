@@ -13,20 +13,36 @@ if TYPE_CHECKING:
     from slbench.patterns import PatternSequence
 
 PatternText = Annotated[
-    str, typer.Argument(help='A pattern set, such as "1,10,50@4", "gray+16@8".')
+    str,
+    typer.Argument(
+        help='A pattern set: "1,10,50@4", "gray+16@8"; a TOML file, a folder of pictures, '
+        "mine.py:SET."
+    ),
 ]
 Panel = Annotated[
     str,
     typer.Option("--panel", metavar="<WxH>", help="Width and height of the panel, px: 1280x800."),
 ]
+OwnPanel = Annotated[
+    str | None,
+    typer.Option(
+        "--panel", metavar="<WxH>", help="Of the panel, px.  [default: the set's own, or 640x480]"
+    ),
+]
 Axes = Annotated[Literal["u", "v", "uv"], typer.Option(help="Coded panel axes.")]
 
 
-def sequence_of(text: str, panel: str, axes: str) -> PatternSequence:
-    """Return the sequence that a text stands for, on a panel such as 1280x800."""
-    from slbench.patterns import PatternSequence
+def sequence_of(text: str, panel: str | None, axes: str, allow_modules: bool) -> PatternSequence:
+    """Return the set that a text stands for, on a panel such as 1280x800.
 
-    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", panel)
+    Without one it is of the size that the set states, or else of 640 x 480 pixels.
+    """
+    from slbench.patterns import read_patterns
+
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", panel or "640x480")
     if match is None:
         raise InputError("--panel", "a width and a height, such as 1280x800", panel)
-    return PatternSequence.parse(text, (int(match[1]), int(match[2])), axes=axes)
+    size = int(match[1]), int(match[2])
+    return read_patterns(
+        text, size, axes=axes, allow_modules=allow_modules, keep_panel=panel is None
+    ).sequence

@@ -7,17 +7,18 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import Json, print_json, print_table
+from slbench.cli.common import AllowModules, Json, print_json, print_table
 from slbench.cli.lazy import command
-from slbench.cli.patterns.given import Axes, Panel, PatternText, sequence_of
+from slbench.cli.patterns.given import Axes, OwnPanel, PatternText, sequence_of
 
 
 @command('slbench patterns show "gray+16@4" --panel 1280x800 --out set.png')
 def show(
     patterns: PatternText,
-    panel: Panel = "640x480",
+    panel: OwnPanel = None,
     axes: Axes = "u",
     out: Annotated[Path | None, typer.Option(help="A PNG of what the panel shows.")] = None,
+    allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Show a pattern set: its parts and its frames."""
@@ -26,7 +27,7 @@ def show(
 
     if out is not None:
         check_output_file(out, (".png",))
-    sequence = sequence_of(patterns, panel, axes)
+    sequence = sequence_of(patterns, panel, axes, allow_modules)
     sequence.runs()  # says what is missing where it cannot be decoded
     placed = sequence.placed()
     if out is not None:

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from slbench.cli.common import AllowModules
 from slbench.cli.lazy import command
 from slbench.cli.patterns.given import Axes, Panel, PatternText, sequence_of
 from slbench.core.validation.types import Gamma, PanelBits, Whole
@@ -23,11 +24,12 @@ def write(
         Gamma, typer.Option(help="Of the projector; its inverse is put into the pictures.")
     ] = 1.0,
     border_px: Annotated[Whole, typer.Option(help="Panel pixels that stay dark at the ends.")] = 0,
+    allow_modules: AllowModules = False,
 ) -> None:
     """Write pictures for a real projector, and a manifest."""
     from slbench.capture.shown import PHOTOGRAPHS, SHOWN_FOLDER, write_pictures
 
-    sequence = sequence_of(patterns, panel, axes)
+    sequence = sequence_of(patterns, panel, axes, allow_modules)
     sequence.runs()  # says what is missing where it cannot be decoded
     SHOWN_FOLDER.check(out, "--out")
     write_pictures(sequence, out, bits=bits, gamma=gamma, border_px=border_px)
