@@ -8,3 +8,4 @@ from .claims.file import load_claims as load_claims
 from .claims.pools import Pools as Pools
 from .compare.comparison import Comparison as Comparison
 from .compare.comparison import SetResult as SetResult
+from .compare.sets import PatternSet as PatternSet

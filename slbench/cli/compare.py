@@ -35,7 +35,10 @@ def compare(
     sets: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="<str>", help='A pattern set, "1,10,50", "1,8@4", "gray"; give each.'
+            "--set",
+            metavar="<str>",
+            help='A pattern set: "1,10,50", "gray"; a TOML file, a folder of pictures, '
+            'mine.py:SET; with a decoder "1,10,50 | mine.py:decode"; give each.',
         ),
     ] = None,
     suite: Annotated[
@@ -69,7 +72,7 @@ def compare(
         for name, value in given.items():
             if value is not None:
                 raise InputError("--suite", f"no {name}", value)
-        _suite(sets, repeats or 5, equal, out, report, seed, preview, as_json)
+        _suite(sets, repeats or 5, equal, out, report, seed, preview, allow_modules, as_json)
         return
     if scene is None:
         raise InputError("SCENE", "a scene, or --suite", "neither")
@@ -91,13 +94,16 @@ def compare(
 
         check_page_path(report, "--report")
     loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
-    pattern_sets(sets, loaded, shifts=own_shifts(loaded), equal=equal)
+    # Before anything is written, and read once: modules run once.
+    read = pattern_sets(
+        sets, loaded, shifts=own_shifts(loaded), equal=equal, allow_modules=allow_modules
+    )
     folder = out or Path("out") / f"compare-{loaded.name}"
     COMPARISON_FOLDER.check(folder, "--out")
     with progress(as_json) as bar:
         result = run(
             loaded,
-            sets,
+            read,
             repeats=repeats or 15,
             equal=equal,
             seed=seed,
@@ -128,6 +134,7 @@ def _suite(
     report: Path | None,
     seed: int,
     preview: bool,
+    allow_modules: bool,
     as_json: bool,
 ) -> None:
     """Run all sets on all scenes."""
@@ -153,6 +160,7 @@ def _suite(
             equal=equal,
             seed=seed,
             preview=preview,
+            allow_modules=allow_modules,
             on_progress=bar,
         )
         write_suite(result, folder)

@@ -5,7 +5,7 @@ that exist are in :data:`pattern_codes`.
 """
 
 from slbench.patterns.base import Axis, Code, Found, Observed, Panel, Placed, Rule, Run, Variation
-from slbench.patterns.decode import MIN_MODULATION_DN, PhaseMap, decode
+from slbench.patterns.decode import MIN_MODULATION_DN, Decoder, PhaseMap, decode, decoded_by
 from slbench.patterns.flat import Flat
 from slbench.patterns.fringes import Fringes
 from slbench.patterns.fringes.ways import closest_rival
@@ -27,6 +27,7 @@ __all__ = [
     "MIN_MODULATION_DN",
     "Axis",
     "Code",
+    "Decoder",
     "Flat",
     "Found",
     "Frame",
@@ -46,6 +47,7 @@ __all__ = [
     "Variation",
     "closest_rival",
     "decode",
+    "decoded_by",
     "order_error_probability",
     "panel_response",
     "pattern_codes",

@@ -7,7 +7,7 @@ here: checked frames, the search for saturated pixels, one mask over all axes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any
@@ -65,7 +65,7 @@ class PhaseMap:
     modulation: NDArray[np.float32]
     mean: NDArray[np.float32]
     mask: NDArray[np.bool_]
-    relative: dict[Axis, list[tuple[float, FloatArray]]]
+    relative: dict[Axis, list[tuple[float, FloatArray]]] = field(default_factory=dict)
     evidence: dict[int, dict[str, AnyFloatArray]] = field(default_factory=dict)
     dropped: NDArray[np.uint8] | None = None
 
@@ -83,6 +83,86 @@ class PhaseMap:
     def plot(self) -> Any:
         """Return a matplotlib figure: panel coordinates, their deviations, modulation."""
         return figure(self)
+
+
+#: A decoder of the user's own: from frames (N, V, U) and what was projected.
+Decoder = Callable[[NDArray[Any], PatternSequence], PhaseMap]
+
+
+def decoded_by(
+    decoder: Decoder, frames: NDArray[Any], sequence: PatternSequence, where: str = "decoder"
+) -> PhaseMap:
+    """Decode frames by a decoder of the user's own, and check what it returns.
+
+    Parameters
+    ----------
+    decoder : callable
+        Takes the frames and the sequence, returns a :class:`PhaseMap`.
+    frames : (N, V, U) uint8, uint16, float32 or float64
+    sequence : PatternSequence
+        What was projected.
+    where : str
+        What the decoder is called, for messages.
+
+    Returns
+    -------
+    PhaseMap
+        Coordinates and deviations float64, NaN outside the mask.
+
+    Raises
+    ------
+    InputError
+        For a decoder that fails, returns anything else, other axes than the sequence codes, arrays
+        of another shape or type, or a coordinate without a positive deviation inside the mask.
+    """
+    try:
+        found = decoder(frames, sequence)
+    except (Exception, SystemExit) as error:  # foreign code may fail in any way
+        expected = "a function of frames and sequence that runs"
+        raise InputError(where, expected, repr(error)) from error
+    if not isinstance(found, PhaseMap):
+        raise InputError(where, "a slbench.patterns.PhaseMap", type(found).__name__)
+    shape, axes = frames.shape[1:], sequence.axes
+    mask = _checked(found.mask, f"{where}: mask", shape, "b")
+    whole: list[dict[Axis, FloatArray]] = []
+    for name in ("coordinate", "sigma"):
+        values = getattr(found, name)
+        if not isinstance(values, Mapping) or set(values) != set(axes):
+            got = list(values) if isinstance(values, Mapping) else type(values).__name__
+            raise InputError(f"{where}: {name}", f"a dict with {' and '.join(axes)}", got)
+        whole.append({})
+        for axis in axes:
+            key = f"{where}: {name}[{axis!r}]"
+            array = _checked(values[axis], key, shape, "f").astype(np.float64)
+            if not np.isfinite(array[mask]).all():
+                raise InputError(key, "numbers inside the mask", "some that are none")
+            if name == "sigma" and (array[mask] <= 0.0).any():
+                raise InputError(key, "deviations > 0 inside the mask", "some that are not")
+            array[~mask] = np.nan
+            whole[-1][axis] = array
+    return replace(
+        found,
+        coordinate=whole[0],
+        sigma=whole[1],
+        modulation=_checked(found.modulation, f"{where}: modulation", shape, "f").astype(
+            np.float32
+        ),
+        mean=_checked(found.mean, f"{where}: mean", shape, "f").astype(np.float32),
+        mask=mask,
+    )
+
+
+def _checked(array: object, where: str, shape: tuple[int, ...], kind: str) -> NDArray[Any]:
+    """Return an array of a decoder that has the frames' shape; whole numbers may be floats."""
+    if (
+        isinstance(array, np.ndarray)
+        and array.shape == shape
+        and array.dtype.kind in {"b": "b", "f": "iuf"}[kind]
+    ):
+        return array
+    expected = f"{'floats' if kind == 'f' else 'bool'} of shape {shape}"
+    got = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else repr(array)
+    raise InputError(where, expected, got[:60])
 
 
 def decode(

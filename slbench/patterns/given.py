@@ -183,9 +183,7 @@ class _Reader(NamedTuple):
             sequence, own = named.value(value)
             for code in sequence.parts:
                 _check_registered(code, named.where)
-            module, _, name = text.rpartition(":")
-            stem = Path(module).stem if module.lower().endswith(".py") else module
-            return GivenPatterns(f"{stem}:{name}", sequence, own)
+            return GivenPatterns(object_name(text), sequence, own)
         if text.lower().endswith(".toml"):
             return self.path(self.place(text), text)
         try:
@@ -304,6 +302,12 @@ class _Reader(NamedTuple):
             expected = f"patterns for the panel's {self.panel[0]} x {self.panel[1]} px"
             raise InputError(where, expected, f"{width} x {height} px")
         return sequence
+
+
+def object_name(text: str) -> str:
+    """Return what to call ``module:object`` in tables: without the path and ``.py`` of a file."""
+    module, _, name = text.rpartition(":")
+    return f"{Path(module).stem if module.lower().endswith('.py') else module}:{name}"
 
 
 def _leads_somewhere(text: str, folder: Path | None) -> bool:

@@ -232,7 +232,10 @@ class Scene(Value):
         elif "parts" in own or not stated:
             found = GivenPatterns(self.sequence.name, self.sequence, own_axes=True)
         else:  # in words, or they could not be changed
-            changed = PatternSequence.parse(str(source), panel, many, along)
+            changed = replace(
+                PatternSequence.parse(str(source), panel, many, along),
+                crosstalk=self.sequence.crosstalk,
+            )
             found = GivenPatterns(changed.name, changed, own_axes=False)
         if stated and found.own_axes:
             expected = f"none beside patterns that state their own, {found.name}"

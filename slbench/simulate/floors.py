@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.fusion import FusionWeights
-from slbench.patterns import Axis, NoiseModel, PatternSequence, PhaseMap, decode
+from slbench.patterns import (
+    Axis,
+    Decoder,
+    NoiseModel,
+    PatternSequence,
+    PhaseMap,
+    decode,
+    decoded_by,
+)
 from slbench.rig import Projector
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.expose import radiance_batches
@@ -38,6 +46,7 @@ def noise_free_coordinates(
     sequence: PatternSequence,
     projector: Projector,
     weights: FusionWeights | None = None,
+    decoder: Decoder | None = None,
 ) -> dict[Axis, Array]:
     """Decode the radiance itself, before the detector: the renderer's own error floor.
 
@@ -52,6 +61,8 @@ def noise_free_coordinates(
     projector : Projector
     weights : FusionWeights, optional
         By which the settings are fused, where there are several.
+    decoder : callable, optional
+        Of the user's own; it gets float32 frames whose full white is 200.
 
     Returns
     -------
@@ -63,7 +74,7 @@ def noise_free_coordinates(
     scale = np.float32(200.0 / max(float(np.percentile(middle.white(), 99.0)), 1e-30))
     height, width = middle.shape
     rows = max(1, _BAND_BYTES // (4 * width * sequence.n_frames))
-    if sequence.unwrap == "spatial":  # each band would be off by fringes of its own
+    if sequence.unwrap == "spatial" or decoder is not None:  # it may look at neighbours
         rows = height
     bands: list[dict[Axis, Array]] = []
     for first in range(0, height, rows):
@@ -73,6 +84,8 @@ def noise_free_coordinates(
         weighed = None if weights is None else _band(weights, own)
         for indices, radiance in fused_radiance(parts, sequence, projector, weighed):
             stack[indices] = radiance * scale
+        if decoder is not None:
+            return decoded_by(decoder, stack, sequence, "decoder, without noise").coordinate
         exact = NoiseModel(step_dn=0.0)
         bands.append(decode(stack, sequence, noise=exact, min_modulation=1.0).coordinate)
     return {axis: np.concatenate([band[axis] for band in bands]) for axis in bands[0]}

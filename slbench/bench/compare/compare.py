@@ -46,6 +46,7 @@ from slbench.core.show.display import length
 from slbench.core.show.document import Cloud
 from slbench.core.validation import types
 from slbench.core.validation.values import checked
+from slbench.patterns import PatternSource
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
@@ -74,7 +75,7 @@ def own_shifts(scene: Scene) -> int:
 @checked
 def compare(
     scene: Scene,
-    sets: Sequence[str | PatternSet],
+    sets: Sequence[PatternSource | PatternSet],
     *,
     repeats: types.Repeats = 15,
     equal: Equal | None = None,
@@ -84,6 +85,7 @@ def compare(
     truth: GroundTruth | None = None,
     weights: WeightSource = "lit",
     question: bool = True,
+    allow_modules: bool = False,
     on_progress: Progress | None = None,
 ) -> Comparison:
     """Scan a scene repeatedly with each pattern set and compare what comes out.
@@ -93,8 +95,10 @@ def compare(
     scene : Scene
         Its patterns are replaced; the axes that they code are those of the sets.  With focus
         settings, every repeat is a fused stack.
-    sets : sequence of str or PatternSet
-        Such as ``"1,10,50"``, ``"1,10,50@4"``, ``"gray"`` (:meth:`PatternSequence.parse`).
+    sets : sequence of str, PatternSet and whatever else is a pattern set
+        Such as ``"1,10,50@4"``, ``"gray"``, ``"mine.toml"``, a folder of pictures,
+        ``"mine.py:SET"`` (:func:`slbench.patterns.read_patterns`); with a decoder of one's own
+        ``"1,10,50 | mine.py:decode"``, or ``PatternSet("mine", sequence, decoder=decode)``.
     repeats : int
         Scans a set, at least 2 (15 in thesis 7.2).
     equal : {"frames", "photons"} or None
@@ -110,6 +114,8 @@ def compare(
         Where a focus stack's settings are judged to be sharp.
     question : bool
         Whether to warn of too few samples; False where the caller sums up several comparisons.
+    allow_modules : bool
+        Run the Python modules that sets name: code of their authors.
     on_progress : callable, optional
         Called with the name of the stage and its finished fraction.
 
@@ -133,7 +139,7 @@ def compare(
         If more samples would change the distance from the truth.
     """
     shifts = own_shifts(scene) if shifts is None else shifts
-    chosen = pattern_sets(sets, scene, shifts=shifts, equal=equal)
+    chosen = pattern_sets(sets, scene, shifts=shifts, equal=equal, allow_modules=allow_modules)
     if weights != "lit" and scene.focus is None:
         raise InputError("weights", f"focus settings in scene {scene.name}, to weigh", "none")
     report = on_progress or (lambda stage, fraction: None)
@@ -313,6 +319,13 @@ def _std_over_predicted(found: Repeats, common: NDArray[np.bool_]) -> float:
     return float(np.sqrt(np.mean((found.std_mm[common] / found.predicted_mm[common]) ** 2)))
 
 
+def _bound_share(found: Repeats, common: NDArray[np.bool_]) -> float:
+    """Return the bound over the deviation, by RMS: medians of few repeats' are too small."""
+    own = common & (found.bound_mm > 0.0)
+    ratio = float(np.mean((found.std_mm[own] / found.bound_mm[own]) ** 2)) if own.any() else 0.0
+    return ratio**-0.5 if ratio > 0.0 else float("nan")
+
+
 def _result(
     one: PatternSet,
     found: Repeats,
@@ -343,7 +356,8 @@ def _result(
         std_z_ci95_mm=interval["std_z"],
         predicted_mm=float(np.median(found.predicted_mm[common])),
         std_over_predicted=_std_over_predicted(found, common),
-        bound_mm=found.bound_over_predicted * float(np.median(found.predicted_mm[common])),
+        bound_mm=_median(found.bound_mm[common]),
+        bound_share=_bound_share(found, common),
         error_median_mm=medians[one.name, "error"],
         error_ci95_mm=interval["error"],
         floor_median_mm=_median(found.floor_mm[common]),

@@ -68,7 +68,11 @@ class SetResult:
         RMS over the pixels of the ratio of both: 1 where the detector's noise is all there is.
     bound_mm : float
         Cramer-Rao bound of the same (:mod:`slbench.patterns.matching.bound`): what no decoder of
-        these frames can fall below; NaN where there is none.
+        these frames can fall below, median over an even choice of the pixels; NaN where there is
+        none.
+    bound_share : float
+        The bound over the measured deviation, 1 / sqrt(mean (std / bound)^2) over these pixels: 1
+        where the decoder uses all that the frames carry, whatever deviation it predicts.
     error_median_mm, error_ci95_mm : float, (float, float)
         RMS distance of a point from the truth over the repeats: median over the pixels.
     floor_median_mm, monte_carlo_median_mm : float
@@ -110,6 +114,7 @@ class SetResult:
     predicted_mm: float
     std_over_predicted: float
     bound_mm: float
+    bound_share: float
     error_median_mm: float
     error_ci95_mm: tuple[float, float]
     floor_median_mm: float
@@ -128,16 +133,6 @@ class SetResult:
 
     __repr__ = brief
 
-    @property
-    def bound_share(self) -> float:
-        """The bound over the measured deviation: 1 where the decoder uses all that frames carry.
-
-        By RMS: medians of few repeats' deviations are too small.
-        """
-        if not (self.predicted_mm > 0.0 and self.std_over_predicted > 0.0):
-            return float("nan")
-        return self.bound_mm / self.predicted_mm / self.std_over_predicted
-
     def to_dict(self) -> dict[str, Any]:
         """Return plain values for JSON, without the maps."""
         return {
@@ -152,6 +147,7 @@ class SetResult:
             "predicted_mm": self.predicted_mm,
             "std_over_predicted": self.std_over_predicted,
             "bound_mm": self.bound_mm if isfinite(self.bound_mm) else None,
+            "bound_share": self.bound_share if isfinite(self.bound_share) else None,
             "error_median_mm": self.error_median_mm,
             "error_ci95_mm": list(self.error_ci95_mm),
             "floor_median_mm": self.floor_median_mm,

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.comparison import Step
 from slbench.bench.compare.sets import PatternSet
+from slbench.capture.capture import Capture
 from slbench.capture.fusion import FusionWeights
 from slbench.capture.stack import WeightSource
 from slbench.cloud.triangulation import PointCloud, triangulate
 from slbench.patterns import Axis, NoiseModel, PhaseMap
-from slbench.patterns.matching.bound import cramer_rao
+from slbench.patterns.matching.bound import cramer_rao, light_of
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.features import StepScore, fit_features
@@ -56,9 +57,9 @@ class Repeats:
     floor_mm, sampling_mm : (P,) float
         Distance from the truth without noise, and from what half of the samples would give
         (:mod:`slbench.simulate.floors`); NaN where it is not known.
-    bound_over_predicted : float
-        Cramer-Rao bound over the decoder's predicted deviation, median over the pixels; NaN where
-        there is no bound (a Gray code alone, a focus stack).
+    bound_mm : (P,) float
+        Cramer-Rao bound of the point, for an even choice of the pixels; NaN elsewhere, and where
+        there is none (a Gray code alone, a focus stack).
     order_error_rate, right, completeness, seconds : float
     exposure_s : float
     steps : tuple of Step
@@ -74,7 +75,7 @@ class Repeats:
     square_mm2: Array
     floor_mm: Array
     sampling_mm: Array
-    bound_over_predicted: float
+    bound_mm: Array
     order_error_rate: float
     right: float
     completeness: float
@@ -127,14 +128,14 @@ def scan_repeats(
     heights: list[dict[tuple[int, str], StepScore]] = []
     stages = dict.fromkeys(("capture", "decode", "reconstruct", "sum up", "floor"), 0.0)
     weighed: FusionWeights | None = None
-    bound = float("nan")
+    bound = np.full(len(pixels), np.nan)
     for r in range(repeats):
         clock = [time.perf_counter()]
         own = given.seed(seed, r)
         stack = capture_stack(patterned, transports, seed=own)
         clock.append(time.perf_counter())
         fused = stack.fuse(weights)
-        shots, phase, weighed = fused.capture, fused.decode(), fused.weights
+        shots, phase, weighed = fused.capture, given.decode(fused), fused.weights
         clock.append(time.perf_counter())
         cloud = triangulate(scene.rig, phase)
         clock.append(time.perf_counter())
@@ -149,7 +150,11 @@ def scan_repeats(
         far += _beyond(lambda axis: RIGHT_PX, phase, truth, flat[chosen])
         lit_points += int(np.count_nonzero(truth.lit.ravel()[flat]))
         if r == 0 and len(transports) == 1:
-            bound = _bound(given, phase, shots.noise or NoiseModel(), flat[chosen])
+            some = slice(None, None, -(-len(at) // _BOUND_PIXELS) or 1)
+            axis, seen = given.sequence.axes[0], flat[chosen][some]
+            # A pixel's millimetres, as its predicted deviation has them.
+            mm_per_px = np.sqrt(variance[some]) / phase.sigma[axis].ravel()[seen]
+            bound[at[some]] = mm_per_px * _bound_px(given, shots, phase, seen)
         heights.append(_steps(scene, cloud, truth, chosen))
         exposure_s = float("nan") if shots.exposure_s is None else shots.exposure_s
         clock.append(time.perf_counter())
@@ -160,7 +165,7 @@ def scan_repeats(
         if on_progress:
             on_progress((r + 1) / repeats)
     start = time.perf_counter()
-    floor, sampling = _floors(patterned, transports, weighed, pixels, true)
+    floor, sampling = _floors(patterned, given, transports, weighed, pixels, true)
     stages["floor"] = time.perf_counter() - start
     measured = int(sums.scans.sum())
     lit = int(np.count_nonzero(truth.lit))
@@ -184,26 +189,32 @@ def scan_repeats(
     )
 
 
-def _bound(given: PatternSet, phase: PhaseMap, noise: NoiseModel, flat: NDArray[np.intp]) -> float:
-    """Return the Cramer-Rao bound over the predicted deviation, median over pixels (flat)."""
-    axis = given.sequence.axes[0]
-    if given.sequence.variations != given.sequence.axes or not len(flat):
-        return float("nan")
-    some = flat[:: -(-len(flat) // _BOUND_PIXELS)]
+def _bound_px(given: PatternSet, shots: Capture, phase: PhaseMap, flat: NDArray[np.intp]) -> Array:
+    """Return the Cramer-Rao bound of pixels (flat) along the first axis, px; NaN where none is."""
+    sequence, axis = given.sequence, given.sequence.axes[0]
+    if sequence.variations != sequence.axes or not len(flat):
+        return np.full(len(flat), np.nan)
+    place = phase.coordinate[axis].ravel()[flat]
+    light: tuple[NDArray[np.floating], NDArray[np.floating]]
+    if given.decoder is None:
+        light = phase.modulation.ravel()[flat], phase.mean.ravel()[flat]
+    else:  # the bound is the frames', whatever a decoder says of them
+        shown = shots.apart().frames.reshape(sequence.n_frames, -1)[:, flat]
+        light = light_of(sequence, shown, axis, place)
     bound = cramer_rao(
-        given.sequence,
-        modulation=phase.modulation.ravel()[some],
-        mean=phase.mean.ravel()[some],
-        noise=noise,
+        sequence,
+        modulation=light[0],
+        mean=light[1],
+        noise=shots.noise or NoiseModel(),
         axis=axis,
-        coordinate=phase.coordinate[axis].ravel()[some],
+        coordinate=place,
     )
-    ratio = float(np.median(bound / phase.sigma[axis].ravel()[some]))
-    return ratio if np.isfinite(ratio) else float("nan")
+    return np.where(np.isfinite(bound), bound, np.nan)
 
 
 def _floors(
     scene: Scene,
+    given: PatternSet,
     transports: Sequence[LightTransport],
     weights: FusionWeights | None,
     pixels: NDArray[np.intp],
@@ -213,7 +224,7 @@ def _floors(
 
     def points(lights: Sequence[LightTransport]) -> Array:
         sequence, projector = scene.sequence, scene.rig.projector
-        coordinates = noise_free_coordinates(lights, sequence, projector, weights)
+        coordinates = noise_free_coordinates(lights, sequence, projector, weights, given.decoder)
         cloud = triangulate(scene.rig, phase_map(coordinates))
         return cloud.image(cloud.points).reshape(-1, 3)[pixels]
 

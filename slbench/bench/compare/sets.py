@@ -15,12 +15,25 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
+from slbench.capture.stack import FusedCapture
 from slbench.core.errors import InputError, located
+from slbench.core.modules import load_object
 from slbench.core.random import tagged_seed
 from slbench.core.validation.values import checked
-from slbench.patterns import Axis, GrayCode, PatternSequence
+from slbench.patterns import (
+    Axis,
+    Decoder,
+    GrayCode,
+    PatternSequence,
+    PatternSource,
+    PhaseMap,
+    decoded_by,
+    read_patterns,
+)
+from slbench.patterns.given import object_name
 from slbench.scene.model import Scene
 
 Equal = Literal["frames", "photons"]
@@ -33,19 +46,23 @@ class PatternSet:
     Parameters
     ----------
     name : str
-        As the user wrote it, without spaces; different in every set of a comparison.
+        Short text without spaces, or the name of a file, a folder or an object; different in every
+        set of a comparison.
     sequence : PatternSequence
         As it is projected, further shifts included.
     exposure_share : float
         Exposure of a frame over that of the scene.
     note : str
         What a reader must know of it.
+    decoder : callable, optional
+        Of the user's own, ``decoder(frames, sequence) -> PhaseMap``, instead of the codes'.
     """
 
     name: str
     sequence: PatternSequence
     exposure_share: float = 1.0
     note: str = ""
+    decoder: Decoder | None = None
 
     @property
     def frames(self) -> int:
@@ -60,6 +77,13 @@ class PatternSet:
         else:
             light = replace(light, white_level=light.white_level * self.exposure_share)
         return replace(scene, sequence=self.sequence, exposure=light)
+
+    def decode(self, fused: FusedCapture) -> PhaseMap:
+        """Return what the set's decoder makes of its frames."""
+        if self.decoder is None:
+            return fused.decode()
+        shots = fused.capture.apart()
+        return decoded_by(self.decoder, shots.frames, shots.sequence, f"set {self.name}: decoder")
 
     def seed(self, seed: int, repeat: int) -> int:
         """Return the seed of one repeat, which no other set of another name shares."""
@@ -82,24 +106,35 @@ class PatternSet:
 
 @checked
 def pattern_sets(
-    texts: Sequence[str | PatternSet], scene: Scene, *, shifts: int = 3, equal: Equal | None = None
+    given: Sequence[PatternSource | PatternSet],
+    scene: Scene,
+    *,
+    shifts: int = 3,
+    equal: Equal | None = None,
+    folder: Path | None = None,
+    allow_modules: bool = False,
 ) -> tuple[PatternSet, ...]:
     """Read pattern sets for a scene's panel and make them equal in frames or light.
 
     Parameters
     ----------
-    texts : sequence of str or PatternSet
-        As :meth:`slbench.patterns.PatternSequence.parse` reads them; what is a set already stays.
+    given : sequence of str, PatternSet and whatever else is a pattern set
+        As :func:`slbench.patterns.read_patterns` reads them; what is a set already stays.  Text may
+        end in a decoder of the user's own: ``"1,10,50 | mine.py:decode"``.
     scene : Scene
         Its panel, and the axes that its own patterns code.
     shifts : int
         Phase shifts where a text gives none.
     equal : {"frames", "photons"} or None
+    folder : path, optional
+        Of the file that names the sets.
+    allow_modules : bool
+        Run the Python modules that the sets name: code of their authors.
 
     Returns
     -------
     tuple of PatternSet
-        In the order given.
+        In the order given.  Sets that would have the same name are called by their whole text.
 
     Raises
     ------
@@ -107,22 +142,23 @@ def pattern_sets(
         For no sets, a set given twice, one that cannot be read, shown or decoded, or another
         `equal`.
     """
-    if isinstance(texts, str) or not texts:
-        raise InputError("sets", "one or more pattern sets", repr(texts))
+    if isinstance(given, str) or not given:
+        raise InputError("sets", "one or more pattern sets", repr(given))
     sets: list[PatternSet] = []
-    for text in texts:
-        if isinstance(text, PatternSet):
-            sets.append(text)
-            continue
-        name = text.replace(" ", "") if isinstance(text, str) else text
-        if name in [one.name for one in sets]:
-            raise InputError("sets", "every set once", f"{name} twice")
-        axes = "".join(scene.sequence.axes) or "u"
-        sequence = PatternSequence.parse(name, scene.sequence.panel, shifts, axes)
-        with located(f"set {name}"):
-            # A sequence that cannot be unwrapped is refused before any light is traced.
-            sequence.runs()
-        sets.append(PatternSet(name, sequence))
+    for one in given:
+        if isinstance(one, PatternSet):
+            sets.append(one)
+        else:
+            sets.append(_read(one, scene, shifts, folder, allow_modules))
+        with located(f"set {sets[-1].name}"):
+            _check(sets[-1], scene)
+    names = [one.name for one in sets]
+    for k, one in enumerate(given):
+        if names.count(names[k]) > 1 and isinstance(one, str | Path):
+            sets[k] = replace(sets[k], name="".join(str(one).split()))
+    for one in sets:
+        if [other.name for other in sets].count(one.name) > 1:
+            raise InputError("sets", "every set once", f"{one.name} twice")
     if equal == "frames":
         longest = max(one.frames for one in sets)
         return tuple(with_frames(one, longest) for one in sets)
@@ -130,6 +166,41 @@ def pattern_sets(
         shortest = min(one.frames for one in sets)
         return tuple(replace(one, exposure_share=shortest / one.frames) for one in sets)
     return tuple(sets)
+
+
+def _read(
+    given: PatternSource, scene: Scene, shifts: int, folder: Path | None, allow_modules: bool
+) -> PatternSet:
+    """Read a set, and the decoder behind a bar."""
+    text, bar, behind = given.rpartition("|") if isinstance(given, str) else ("", "", "")
+    decoder, suffix = None, ""
+    if bar:
+        where = f"set {given}: decoder"
+        decoder = load_object(behind.strip(), folder, allow_modules, where)
+        if not callable(decoder):
+            expected = "a function of frames and sequence that returns a PhaseMap"
+            raise InputError(where, expected, type(decoder).__name__)
+        given, suffix = text, f"|{object_name(behind.strip())}"
+    read = read_patterns(
+        *(given, scene.sequence.panel),
+        shifts=shifts,
+        axes="".join(scene.sequence.axes) or "u",
+        folder=folder,
+        allow_modules=allow_modules,
+    )
+    return PatternSet(read.name + suffix, read.sequence, decoder=decoder)
+
+
+def _check(one: PatternSet, scene: Scene) -> None:
+    """Refuse a set that cannot be shown or decoded, before any light is traced."""
+    panel = scene.sequence.panel
+    if one.sequence.panel != panel:
+        expected = f"patterns for the panel's {panel[0]} x {panel[1]} px"
+        raise InputError("panel", expected, "{} x {} px".format(*one.sequence.panel))
+    if one.decoder is None:
+        one.sequence.runs()
+    elif not one.sequence.axes:
+        raise InputError("patterns", "a code of one axis at least", one.sequence.name)
 
 
 def with_frames(given: PatternSet, frames: int) -> PatternSet:

@@ -14,10 +14,11 @@ from typing import Any, Literal
 
 from slbench.bench.compare.compare import NothingToCompare, compare, own_shifts
 from slbench.bench.compare.comparison import SetResult
-from slbench.bench.compare.sets import Equal, pattern_sets
+from slbench.bench.compare.sets import Equal, PatternSet, pattern_sets
 from slbench.core.show.display import brief
 from slbench.core.validation import types
 from slbench.core.validation.values import checked
+from slbench.patterns import PatternSource
 from slbench.scene.file import load_scene
 from slbench.simulate.stack import traced
 
@@ -191,20 +192,21 @@ class Suite:
 
 @checked
 def compare_suite(
-    sets: Sequence[str] = SETS,
+    sets: Sequence[PatternSource | PatternSet] = SETS,
     scenes: Sequence[str] = SCENES,
     *,
     repeats: types.Repeats = 5,
     equal: Equal | None = None,
     seed: types.Seed = 0,
     preview: bool = False,
+    allow_modules: bool = False,
     on_progress: Progress | None = None,
 ) -> Suite:
     """Scan every scene with every set.
 
     Parameters
     ----------
-    sets : sequence of str
+    sets : sequence of str, PatternSet and whatever else is a pattern set
         As for :func:`~slbench.bench.compare.compare.compare`.
     scenes : sequence of str
         Names or files of scenes.
@@ -215,6 +217,8 @@ def compare_suite(
     seed : int
     preview : bool
         Few pixels and samples.
+    allow_modules : bool
+        Run the Python modules that sets name: code of their authors.
     on_progress : callable, optional
         Called with the name of the scene and its finished fraction.
 
@@ -233,7 +237,10 @@ def compare_suite(
 
     report = on_progress or (lambda stage, fraction: None)
     loaded = [load_scene(name, preview=preview) for name in scenes]
-    chosen = [pattern_sets(sets, one, shifts=own_shifts(one), equal=equal) for one in loaded]
+    chosen = [
+        pattern_sets(sets, one, shifts=own_shifts(one), equal=equal, allow_modules=allow_modules)
+        for one in loaded
+    ]
     outcomes: list[Outcome] = []
     for scene, given in zip(loaded, chosen, strict=True):
         report(scene.name, 0.0)

@@ -9,8 +9,10 @@ Cramer, Mathematical Methods of Statistics, 1946, sec. 32).
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.patterns.base import Axis, FloatArray
@@ -104,17 +106,15 @@ def cramer_rao(
     vectors = sequence_vectors(
         sequence, axis or (*sequence.axes, "u")[0], nuisance, spread, circle_px
     )
-    pieces = vectors.pieces()
-    smooth = np.abs(np.diff(vectors.values, axis=1)).max(axis=1) < EDGE
-    places = np.arange(len(pieces) + 1.0) if coordinate is None else np.asarray(coordinate, float)
+    places = (
+        np.arange(float(vectors.values.shape[1]))
+        if coordinate is None
+        else np.asarray(coordinate, float)
+    )
     contrast, level = (
         np.broadcast_to(np.asarray(v, float), places.shape) for v in (modulation, mean)
     )
-    piece = np.clip(places, 0, len(pieces) - 1).astype(np.intp)
-    t = (places - piece)[:, np.newaxis]
-    a, b, c, d = pieces[piece].transpose(1, 0, 2)
-    shown = a + t * (b + t * (c + t * d))
-    slope = np.where(smooth, b + t * (2.0 * c + t * 3.0 * d), 0.0)
+    shown, slope = _at(vectors, places)
     middle = 0.5 if vectors.nuisance.gain == "common" else 0.0
     frames = level[:, np.newaxis] + 2.0 * contrast[:, np.newaxis] * (shown - middle)
     weight = 1.0 / np.sqrt(noise.variance(frames))
@@ -137,3 +137,59 @@ def cramer_rao(
     bound = np.full(places.shape, np.inf)
     np.divide(1.0, np.sqrt(information), out=bound, where=information > 0.0)
     return bound
+
+
+def light_of(
+    sequence: PatternSequence, frames: NDArray[Any], axis: Axis, coordinate: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Return modulation and mean of pixels whose places are known, by least squares.
+
+    Frames count by the fourth power of their slope, so that the finest decide: where a lens takes
+    contrast from fine fringes, coarse ones beside them do not hide it.
+
+    Parameters
+    ----------
+    sequence : PatternSequence
+    frames : (N, n)
+        Of n pixels, DN.
+    axis : {"u", "v"}
+    coordinate : (n,) array_like
+        Places along the axis, px.
+
+    Returns
+    -------
+    modulation, mean : (n,) float64
+        As :func:`cramer_rao` takes them, DN; zero where no frame has a slope.
+
+    Raises
+    ------
+    InputError
+        For an axis along which nothing varies.
+    """
+    vectors = sequence_vectors(sequence, axis)
+    own = [k for k, frame in enumerate(sequence.frames()) if frame.along in (axis, None)]
+    shown = _at(vectors, np.asarray(coordinate, dtype=float))[0] - 0.5
+    weight = np.mean(np.diff(vectors.values, axis=1) ** 2, axis=1) ** 2 * _smooth(vectors)
+    weight = weight / max(float(weight.sum()), 1e-30)
+    seen = np.asarray(frames[own], dtype=float).T
+    mean_shown, mean_seen = shown @ weight, seen @ weight
+    shown, seen = shown - mean_shown[:, np.newaxis], seen - mean_seen[:, np.newaxis]
+    spread, product = shown**2 @ weight, (shown * seen) @ weight
+    gain = np.divide(product, spread, out=np.zeros_like(product), where=spread > 1e-12)
+    return 0.5 * gain, mean_seen - gain * mean_shown
+
+
+def _smooth(vectors: CodeVectors) -> NDArray[np.bool_]:
+    """Return which frames have a slope everywhere and no edge, (N,)."""
+    smooth: NDArray[np.bool_] = np.abs(np.diff(vectors.values, axis=1)).max(axis=1) < EDGE
+    return smooth
+
+
+def _at(vectors: CodeVectors, places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what is shown at places (n,) and its slope a pixel, (n, N) each; none at edges."""
+    pieces = vectors.pieces()
+    piece = np.clip(places, 0, len(pieces) - 1).astype(np.intp)
+    t = (places - piece)[:, np.newaxis]
+    a, b, c, d = pieces[piece].transpose(1, 0, 2)
+    slope = np.where(_smooth(vectors), b + t * (2.0 * c + t * 3.0 * d), 0.0)
+    return a + t * (b + t * (c + t * d)), slope

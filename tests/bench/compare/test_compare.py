@@ -416,7 +416,7 @@ class TestBadInput:
             (["1,10", "1, 10"], {}, "every set once, got 1,10 twice"),
             (["1,10", "ten"], {}, "'ten'"),
             (["1,10", ""], {}, "text such as"),
-            (["1,10", 7], {}, "text such as"),
+            (["1,10", 7], {}, "expected a PatternSequence, a Code, a list of them"),
             (["1,10,400"], {}, "at most 213 fringes on 640 panel pixels, got 400"),
             (["10,50"], {}, "set 10,50: decode: .* one fringe or a Gray code first"),
             (["white"], {}, "set white: decode: sequence: expected fringes or a Gray code"),
