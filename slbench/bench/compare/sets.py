@@ -22,6 +22,7 @@ from slbench.capture.stack import FusedCapture
 from slbench.core.errors import InputError, located
 from slbench.core.modules import load_object
 from slbench.core.random import tagged_seed
+from slbench.core.show.display import brief
 from slbench.core.validation.values import checked
 from slbench.patterns import (
     Axis,
@@ -63,6 +64,8 @@ class PatternSet:
     exposure_share: float = 1.0
     note: str = ""
     decoder: Decoder | None = None
+
+    __repr__ = brief
 
     @property
     def frames(self) -> int:
