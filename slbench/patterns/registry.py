@@ -24,6 +24,7 @@ pattern_codes: Registry[type[Code]] = Registry(
         "images": "slbench.patterns.images:Images",
         "fourier": "slbench.patterns.codes.spatial.fourier:FourierTransform",
         "speckle": "slbench.patterns.codes.random.speckle:Speckle",
+        "optimised": "slbench.patterns.codes.random.optimised:OptimisedCode",
         "de-bruijn": "slbench.patterns.codes.spatial.de_bruijn:DeBruijn",
     },
     base="slbench.patterns.base:Code",

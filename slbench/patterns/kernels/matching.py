@@ -7,7 +7,9 @@ the frames about their mean.  Scores of a block of pixels stay in the second-lev
 
 *Refinement.*  Gauss-Newton on the place, the gains and offsets eliminated by orthogonalisation,
 every frame with the weight of its own noise.  What is left of the derivative once gains and offsets
-have taken their parts is the Fisher information of the place.
+have taken their parts is the Fisher information F of the place.  Where a lens has blurred what was
+shown, the residual r is no noise, and the likelihood's own curvature K = F - c'' r is less: noise
+moves its summit by the variance F / K^2 (P. J. Huber, Proc. 5th Berkeley Symp. 1, 1967).
 """
 
 from math import sqrt
@@ -119,6 +121,8 @@ def search(
 
 #: Share of the slope's square that is left beside gain and offset, below which there is none.
 LEAST_SLOPE = 1e-9
+#: Least curvature, of the Fisher information: less is no summit.
+LEAST_CURVATURE = 0.2
 
 
 @njit(cache=True, nogil=True)
@@ -126,7 +130,7 @@ def refine(
     pixels: Any, pieces: Any, groups: Any, offsets: Any, reach: Any, noise: Any,
     best: Any, place: Any, information: Any, gain: Any, residual: Any, start: int, stop: int,
 ) -> None:  # fmt: skip
-    """Refine the best places below a pixel, and find their Fisher information.
+    """Refine the best places below a pixel, and find how well they are known.
 
     Parameters
     ----------
@@ -152,7 +156,7 @@ def refine(
     triangle = np.empty((n_linear, n_linear))
     solution = np.empty(n_linear)
     rest, root = np.empty(n_frames), np.empty(n_frames)
-    value, slope = np.empty(n_frames), np.empty(n_frames)
+    value, slope, bend = np.empty(n_frames), np.empty(n_frames), np.empty(n_frames)
     last = float(pieces.shape[0])
     for p in range(start, stop):
         for k in range(n_frames):
@@ -161,7 +165,7 @@ def refine(
         centre = float(best[p])
         allowed = reach[best[p]]
         x = centre
-        fisher = 0.0
+        fisher, curvature = 0.0, 1.0
         for _ in range(12):
             piece = min(int(max(x, 0.0)), pieces.shape[0] - 1)
             t = x - piece
@@ -172,6 +176,7 @@ def refine(
                 )  # fmt: skip
                 value[k] = a + t * (b + t * (c + t * d))
                 slope[k] = b + t * (2.0 * c + t * 3.0 * d)
+                bend[k] = 2.0 * c + t * 6.0 * d
             columns[:] = 0.0
             for k in range(n_frames):
                 columns[offsets[k], k] = root[k]
@@ -211,10 +216,12 @@ def refine(
             for k in range(n_frames):
                 total += rest[k] ** 2
             residual[p] = total
-            whole = 0.0
+            whole, turned = 0.0, 0.0
             for k in range(n_frames):
-                slope[k] *= root[k] * solution[n_offsets + groups[k]]
+                factor = root[k] * solution[n_offsets + groups[k]]
+                slope[k] *= factor
                 whole += slope[k] ** 2
+                turned += factor * bend[k] * rest[k]
             for i in range(n_linear):
                 dot = 0.0
                 for k in range(n_frames):
@@ -230,6 +237,7 @@ def refine(
                 # every place between.
                 fisher = 0.0
                 break
+            curvature = max(1.0 - turned / fisher, LEAST_CURVATURE)
             step = min(max(moment / fisher, -0.5), 0.5)
             moved = min(max(x + step, centre - allowed), centre + allowed)
             moved = min(max(moved, -0.5), last + 0.5)
@@ -238,4 +246,4 @@ def refine(
             if abs(step) < 1e-4:
                 break
         place[p] = x
-        information[p] = fisher
+        information[p] = fisher * curvature**2
