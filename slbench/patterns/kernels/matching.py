@@ -3,7 +3,8 @@
 *Search.*  Orthonormal vectors ``q_j(x)`` span what a place may show beyond the offsets; the score
 is the sum of squares of the frames' components along them, where those are positive (a gain is).
 With one vector it is the square of the zero-mean normalised cross-correlation times the energy of
-the frames about their mean.  Scores of a block of pixels stay in the second-level cache.
+the frames about their mean.  Every place is tried.  Scores of a block of pixels stay in the
+second-level cache; the highest of each group of places is kept, so that they are gone through once.
 
 *Refinement.*  Gauss-Newton on the place, the gains and offsets eliminated by orthogonalisation,
 every frame with the weight of its own noise.  What is left of the derivative once gains and offsets
@@ -17,13 +18,60 @@ from typing import Any
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from slbench.patterns.kernels.blocks import FAST
 
 #: Pixels of a block: its scores at a thousand places are 128 kB.
 BLOCK = 64
+#: Places of a group, whose highest score is kept.
+GROUP = 8
+#: Frames that are multiplied and added at once, while a sum is in a register.
+CHUNK = 4
 #: Places beside the best that are of the same peak whatever their scores: a pixel may see both.
 NEAR = 2
+
+
+def padded(basis: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return a basis (X, J, N) with null vectors and frames up to whole groups and chunks."""
+    places, _, frames = basis.shape
+    return np.pad(basis, ((0, -places % GROUP), (0, 0), (0, -frames % CHUNK)))
+
+
+@njit(inline="always", fastmath=FAST, error_model="numpy")
+def _score(block: Any, basis: Any, x: int, scores: Any, one: Any, two: Any) -> None:
+    """Write the scores of places `x` and ``x + 1`` for a block of pixels.
+
+    Two places by four frames: what the loops load serves several products.
+    """
+    zero = np.float32(0.0)
+    for j in range(basis.shape[1]):
+        for k in range(0, basis.shape[2], CHUNK):
+            a0, a1 = basis[x, j, k], basis[x, j, k + 1]
+            a2, a3 = basis[x, j, k + 2], basis[x, j, k + 3]
+            b0, b1 = basis[x + 1, j, k], basis[x + 1, j, k + 1]
+            b2, b3 = basis[x + 1, j, k + 2], basis[x + 1, j, k + 3]
+            if k == 0:
+                for b in range(BLOCK):
+                    v0, v1, v2, v3 = block[0, b], block[1, b], block[2, b], block[3, b]
+                    one[b] = a0 * v0 + a1 * v1 + a2 * v2 + a3 * v3
+                    two[b] = b0 * v0 + b1 * v1 + b2 * v2 + b3 * v3
+            else:
+                for b in range(BLOCK):
+                    v0, v1 = block[k, b], block[k + 1, b]
+                    v2, v3 = block[k + 2, b], block[k + 3, b]
+                    one[b] += a0 * v0 + a1 * v1 + a2 * v2 + a3 * v3
+                    two[b] += b0 * v0 + b1 * v1 + b2 * v2 + b3 * v3
+        if j == 0:
+            for b in range(BLOCK):
+                u, v = max(one[b], zero), max(two[b], zero)
+                scores[x, b] = u * u
+                scores[x + 1, b] = v * v
+        else:
+            for b in range(BLOCK):
+                u, v = max(one[b], zero), max(two[b], zero)
+                scores[x, b] += u * u
+                scores[x + 1, b] += v * v
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -38,6 +86,7 @@ def search(
     pixels : (N, P) float32
         The frames of the code.
     basis : (X, J, N) float32
+        Of whole groups of places and chunks of frames (:func:`padded`).
     first, last : (P,) int32
         Places between which to search, both included.
     best : (P,) int32
@@ -46,19 +95,14 @@ def search(
         Written: its score, and that of the best place of another peak (zero without one), DN^2.
     """
     n_frames = pixels.shape[0]
-    places, vectors = basis.shape[0], basis.shape[1]
-    scores = np.empty((places, BLOCK), np.float32)
-    block = np.empty((n_frames, BLOCK), np.float32)
-    sums = np.empty(BLOCK, np.float32)
-    # Places are single numbers too, which lie side by side with scores in the registers.
-    top, where = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    left, right = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-    zero = np.float32(0.0)
-    second = np.empty(BLOCK, np.float32)
+    scores = np.empty((basis.shape[0], BLOCK), np.float32)
+    tops = np.empty((basis.shape[0] // GROUP, BLOCK), np.float32)
+    block = np.zeros((basis.shape[2], BLOCK), np.float32)
+    one, two = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
     for begin in range(start, stop, BLOCK):
         size = min(BLOCK, stop - begin)
-        block[:] = 0.0
-        low, high = places, 0
+        low, high = basis.shape[0], 0
+        common_low, common_high = 0, basis.shape[0]
         for b in range(size):
             mean = np.float32(0.0)
             for k in range(n_frames):
@@ -68,55 +112,59 @@ def search(
                 block[k, b] = pixels[k, begin + b] - mean
             low = min(low, first[begin + b])
             high = max(high, last[begin + b] + 1)
-        narrow = low > 0 or high < places
-        for b in range(size):
-            narrow |= first[begin + b] > low or last[begin + b] < high - 1
-        for b in range(BLOCK):
-            top[b], where[b] = -1.0, low
-        for x in range(low, high):
-            for j in range(vectors):
-                factor = basis[x, j, 0]
-                for b in range(BLOCK):
-                    sums[b] = factor * block[0, b]
-                for k in range(1, n_frames):
-                    factor = basis[x, j, k]
-                    for b in range(BLOCK):
-                        sums[b] += factor * block[k, b]
-                for b in range(BLOCK):
-                    part = sums[b]
-                    part = part if part > zero else zero
-                    before = scores[x, b] if j > 0 else zero
-                    scores[x, b] = before + part * part
-            if narrow:
+            common_low = max(common_low, first[begin + b])
+            common_high = min(common_high, last[begin + b] + 1)
+        low, high = low // GROUP, (high + GROUP - 1) // GROUP
+        for g in range(low, high):
+            x = g * GROUP
+            for y in range(x, x + GROUP, 2):
+                _score(block, basis, y, scores, one, two)
+            if x < common_low or x + GROUP > common_high:
                 for b in range(size):
-                    if x < first[begin + b] or x > last[begin + b]:
-                        scores[x, b] = -1.0
-            here = np.float32(x)
+                    for y in range(x, x + GROUP):
+                        if y < first[begin + b] or y > last[begin + b]:
+                            scores[y, b] = -1.0
             for b in range(BLOCK):
-                value, highest, place = scores[x, b], top[b], where[b]
-                where[b] = here if value > highest else place
-                top[b] = value if value > highest else highest
-        for b in range(BLOCK):
-            centre = int(where[b])
-            x = centre
-            while x > low and scores[x - 1, b] <= scores[x, b]:
-                x -= 1
-            left[b] = min(x, centre - NEAR)
-            x = centre
-            while x < high - 1 and scores[x + 1, b] <= scores[x, b]:
-                x += 1
-            right[b] = max(x, centre + NEAR)
-            second[b] = 0.0
-        for x in range(low, high):
-            here = np.float32(x)
-            for b in range(BLOCK):
-                value, highest = scores[x, b], second[b]
-                other = (here < left[b]) | (here > right[b])
-                second[b] = value if other & (value > highest) else highest
+                tops[g, b] = max(
+                    max(
+                        max(scores[x, b], scores[x + 1, b]),
+                        max(scores[x + 2, b], scores[x + 3, b]),
+                    ),
+                    max(
+                        max(scores[x + 4, b], scores[x + 5, b]),
+                        max(scores[x + 6, b], scores[x + 7, b]),
+                    ),
+                )
+        low_place, high_place = low * GROUP, high * GROUP - 1
         for b in range(size):
-            best[begin + b] = int(where[b])
-            energy[begin + b] = top[b]
-            rival[begin + b] = second[b]
+            group, top = low, np.float32(-1.0)
+            for g in range(low, high):
+                if tops[g, b] > top:
+                    group, top = g, tops[g, b]
+            centre = group * GROUP
+            while scores[centre, b] < top:
+                centre += 1
+            x = centre
+            while x > low_place and scores[x - 1, b] <= scores[x, b]:
+                x -= 1
+            left = max(min(x, centre - NEAR), low_place)
+            x = centre
+            while x < high_place and scores[x + 1, b] <= scores[x, b]:
+                x += 1
+            right = min(max(x, centre + NEAR), high_place)
+            # What is beside the peak in the groups that it ends in; the others are whole.
+            second = np.float32(0.0)
+            for y in range(left // GROUP * GROUP, left):
+                second = max(second, scores[y, b])
+            for y in range(right + 1, (right // GROUP + 1) * GROUP):
+                second = max(second, scores[y, b])
+            for g in range(low, left // GROUP):
+                second = max(second, tops[g, b])
+            for g in range(right // GROUP + 1, high):
+                second = max(second, tops[g, b])
+            best[begin + b] = centre
+            energy[begin + b] = top
+            rival[begin + b] = second
 
 
 #: Share of the slope's square that is left beside gain and offset, below which there is none.

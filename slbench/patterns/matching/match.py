@@ -76,7 +76,7 @@ def match(
     -------
     Matched1D
     """
-    from slbench.patterns.kernels.matching import refine, search
+    from slbench.patterns.kernels.matching import padded, refine, search
 
     places, count = vectors.values.shape[1], pixels.shape[1]
     frames = np.ascontiguousarray(pixels, dtype=np.float32)
@@ -89,9 +89,8 @@ def match(
         first[known], last[known] = low[known], high[known]
     best = np.empty(count, np.int32)
     energy, rival = np.empty(count, np.float32), np.empty(count, np.float32)
-    in_bands(
-        partial(search, frames, vectors.basis(), first, last, best, energy, rival), count, 1 << 10
-    )
+    basis = padded(vectors.basis())
+    in_bands(partial(search, frames, basis, first, last, best, energy, rival), count, 1 << 10)
 
     starts, stops = vectors.cells()
     wide = stops > starts
