@@ -134,7 +134,9 @@ def described(specification: Specification) -> dict[str, Any]:
         "description": specification.description,
         "licence": specification.licence,
         "samples_per_shard": specification.samples_per_shard,
-        "captures": {p: patterns.model_dump() for p, patterns in specification.prefixes()},
+        "captures": {
+            p: patterns.model_dump(exclude_none=True) for p, patterns in specification.prefixes()
+        },
         "columns": specification.columns(),
         "drawn": tuple(specification.drawn_columns()),
     }

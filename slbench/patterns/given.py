@@ -42,6 +42,8 @@ PatternSource = (
     | Mapping[str, Any]
     | Callable[[Panel], PatternSequence | Code | Sequence[Code]]
 )
+#: A panel that any short text fits.
+_LARGE = (8192, 8192)
 #: Files of a folder that say what its pictures are.
 MANIFESTS = ("capture.toml", "patterns.toml")
 _FORMS = "short text, a TOML file, a folder of pictures or module:object"
@@ -302,6 +304,15 @@ class _Reader(NamedTuple):
             expected = f"patterns for the panel's {self.panel[0]} x {self.panel[1]} px"
             raise InputError(where, expected, f"{width} x {height} px")
         return sequence
+
+
+def in_words(text: str) -> bool:
+    """Return whether a text is short text, on a panel that is large enough for it."""
+    try:
+        PatternSequence.parse(text, _LARGE)
+    except InputError:
+        return False
+    return True
 
 
 def object_name(text: str) -> str:

@@ -241,6 +241,7 @@ class TestRefused:
             ),
             ({"scene": _scene(focus={"settings": 3})}, ("no focus settings",)),
             ({"scene": _scene(extends="nowhere")}, ("extends", "nowhere")),
+            ({"patterns": [{"sequence": "ten"}]}, ("patterns[0]", "'ten'")),
             ({"objects": []}, ("objects", "one object at least")),
             ({"objects": [{"kind": "cube"}]}, ("objects[0].kind", "'cube'")),
             ({"objects": [{"kind": "sphere"}, {"kind": "sphere"}]}, ("a name of its own",)),
@@ -300,7 +301,7 @@ class TestRefused:
     @pytest.mark.parametrize(
         ("changes", "words"),
         [
-            ({"patterns": [{"sequence": "ten"}]}, ("ten",)),
+            ({"patterns": [{"sequence": "1,400"}]}, ("at most 213 fringes",)),
             ({"scene": _scene(exposure={"whitelevel": 0.5})}, ("did you mean 'white_level'",)),
             (
                 {

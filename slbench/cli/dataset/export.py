@@ -39,7 +39,9 @@ def export(
     ] = None,
     patterns: Annotated[
         str | None,
-        typer.Option(help='Patterns to expose, e.g. "1,10,50@4".  [default: the stored frames]'),
+        typer.Option(
+            help='To expose, "1,10,50@4", mine.toml, mine.py:SET.  [default: the stored frames]'
+        ),
     ] = None,
     noise: Annotated[
         bool, typer.Option("--noise/--no-noise", help="Detector noise of those; rounding stays.")
@@ -60,7 +62,7 @@ def export(
     from slbench.datasets.export.formats import EXPORT_FOLDER, check_target
     from slbench.datasets.export.formats import export as write
     from slbench.datasets.read.recipe import Recipe
-    from slbench.patterns import PatternSequence
+    from slbench.patterns import read_patterns
 
     data = datasets.open_dataset(
         dataset, allow_modules=allow_modules
@@ -75,7 +77,8 @@ def export(
     if where is not None:
         data = data.where(where)
     if patterns is not None and len(data):
-        PatternSequence.parse(patterns, data[0].transport.panel)  # before anything is written
+        panel = data[0].transport.panel
+        read_patterns(patterns, panel, allow_modules=allow_modules)  # before anything is written
     recipe = Recipe(patterns, None, noise, seed)
     counts: dict[str, int] = {}
     with progress(as_json) as report:

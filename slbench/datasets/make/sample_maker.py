@@ -180,12 +180,9 @@ def _measure(
     """Trace, capture and score; write transport, truth and frames; return the scores."""
     from slbench.simulate.render.trace import trace
 
-    scenes = {
-        prefix: scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
-        for prefix, patterns in specification.prefixes()
-    }
+    scenes = {prefix: patterns.of(scene, folder) for prefix, patterns in specification.prefixes()}
     # Frames are made of what is stored, so that anyone can make them again.
-    marginals = marginals_of(specification, scene)
+    marginals = marginals_of(specification, scene, folder)
     parts = scene.objects, scene.rig, scene.light
     traced = trace(*parts, marginals, samples=scene.samples, seed=seed)
     transport = rounded(traced, specification.weight_bits)
@@ -221,14 +218,11 @@ def _measure(
     return {"statistics": _statistics(transport, truth), "captures": captures}
 
 
-def marginals_of(specification: Specification, scene: Scene) -> tuple[Marginal, ...]:
-    """Return the marginals of the light transport that samples keep."""
+def marginals_of(specification: Specification, scene: Scene, folder: Path) -> tuple[Marginal, ...]:
+    """Return the marginals of the light transport that samples keep; pictures are in the folder."""
     if specification.marginals:
         return specification.marginals
-    scenes = [
-        scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
-        for patterns in specification.patterns
-    ]
+    scenes = [patterns.of(scene, folder) for patterns in specification.patterns]
     needed = {along for one in (scene, *scenes) for along in one.sequence.variations}
     return tuple(along for along in get_args(Marginal) if along in needed)
 

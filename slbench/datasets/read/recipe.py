@@ -33,8 +33,9 @@ class Recipe(Value):
     Parameters
     ----------
     patterns : str, PatternSequence, callable or None
-        Text such as ``"1,10,50@4"``; a function that chooses for a sample, with a generator to
-        draw from; None for the first stored capture as it is.
+        Text such as ``"1,10,50@4"``, or what else :meth:`Sample.capture` takes as text; a function
+        that chooses for a sample, with a generator to draw from; None for the first stored capture
+        as it is.
     detector : DetectorModel, optional
         Instead of each scene's own.
     noise : bool

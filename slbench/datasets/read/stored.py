@@ -25,7 +25,7 @@ from slbench.core.validation.values import checked
 from slbench.datasets.store import sample, shards
 from slbench.datasets.store.storage import Storage
 from slbench.detector.base import DetectorModel
-from slbench.patterns import PatternSequence
+from slbench.patterns import PatternSource, read_patterns
 from slbench.rig import Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene.file import load_scene, load_settings
@@ -161,7 +161,7 @@ class Sample:
     @checked
     def capture(
         self,
-        sequence: PatternSequence | str,
+        sequence: PatternSource,
         detector: DetectorModel | None = None,
         seed: Seed = 0,
         noise: bool = True,
@@ -176,8 +176,9 @@ class Sample:
 
         Parameters
         ----------
-        sequence : PatternSequence or str
-            Text such as ``"1,10,50@4"`` codes the panel's columns.
+        sequence : PatternSequence, str and whatever else is a pattern set
+            Text such as ``"1,10,50@4"`` codes the panel's columns; a file, a folder of pictures or
+            ``module:object`` (:func:`slbench.patterns.read_patterns`), where modules may be run.
         detector : DetectorModel, optional
             The scene's by default.
         seed : int
@@ -199,14 +200,15 @@ class Sample:
             For patterns that the panel or the stored marginals cannot show, a seed that is no
             whole number from 0, or a scene in which nothing is lit.
         """
-        if not isinstance(sequence, PatternSequence):
-            sequence = PatternSequence.parse(sequence, self.transport.panel)
+        shown = read_patterns(
+            sequence, self.transport.panel, allow_modules=self.allow_modules
+        ).sequence
         scene, rig = self._settings, self._settings.rig
         if gamma is not None:
             rig = rig.having(projector=replace(rig.projector, gamma=gamma))
         return capture(
             self.transport,
-            sequence,
+            shown,
             rig,
             detector or scene.detector,
             exposure or scene.exposure,

@@ -46,11 +46,14 @@ class Draw:
         By column of the index.
     table : dict
         Content of the scene file, with its settings of a preview.
+    pictures : tuple of str
+        Files that the patterns show.
     """
 
     kind: str | None
     values: dict[str, Any]
     table: dict[str, Any]
+    pictures: tuple[str, ...] = ()
 
 
 def sample_seed(seed: int, sample: int) -> int:
@@ -110,7 +113,8 @@ def draw(
     table["name"] = f"{specification.name}-{key(sample)}"
     if specification.modules:
         table["modules"] = list(specification.modules)
-    return Draw(name, values, table)
+    pictures = tuple(one for patterns in specification.patterns for one in patterns.files or ())
+    return Draw(name, values, table, pictures)
 
 
 def _coarsen(table: dict[str, Any], width: int, settings: Mapping[str, Any]) -> int:
@@ -150,7 +154,8 @@ def place_scene(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: 
     files : mapping of str to bytes
         Of the specification.
     folder : Path
-        Empty; gets ``scene.toml``, ``rig.yaml`` and the meshes that the scene names.
+        Empty; gets ``scene.toml``, ``rig.yaml``, the meshes that the scene names and the pictures
+        that the patterns show.
     preview : bool
         Fewer camera pixels and Monte Carlo samples.
 
@@ -171,7 +176,7 @@ def _placed(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool
     wanted = {name for table in drawn.table["objects"] for name in file_names(table)}
     from_file = "file" in drawn.table["rig"]
     modules = drawn.table.get("modules", ())
-    for name in (*sorted(wanted), *modules, *([RIG] if from_file else [])):
+    for name in (*sorted(wanted), *drawn.pictures, *modules, *([RIG] if from_file else [])):
         (folder / name).write_bytes(files[name])
     table, divisor = plain(drawn.table), 1
     if preview:
@@ -270,7 +275,7 @@ def _problem(
     try:
         scene = place_scene(drawn, files, folder, preview)
         for patterns in specification.patterns:
-            scene.with_patterns(patterns.sequence, patterns.shifts, patterns.axes)
+            patterns.of(scene, folder)
     except InputError as error:
         return error
     if specification.constraints.inside_volume and outside_volume(scene):

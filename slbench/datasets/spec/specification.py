@@ -23,7 +23,7 @@ which one is drawn, the patterns whose frames are rendered, and what a draw must
     width_mm = 20.0
 
     [[patterns]]                  # none: light transport alone
-    sequence = "1,10,50"
+    sequence = "1,10,50"          # or "mine.toml", "pictures", "mine.py:SET"
     repeats = 2
 
     [constraints]
@@ -39,7 +39,7 @@ which one is drawn, the patterns whose frames are rendered, and what a draw must
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -51,7 +51,7 @@ from slbench.core.io import plain, read_toml
 from slbench.core.modules import load_modules
 from slbench.core.registry import quoted
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Share, Shifts
+from slbench.core.validation.types import Share
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
 from slbench.datasets.spec.distributions import (
@@ -65,6 +65,7 @@ from slbench.datasets.spec.distributions import (
 )
 from slbench.datasets.spec.distributions import Path as Place
 from slbench.datasets.spec.embedded import content_of, embedded, embedded_module, file_names
+from slbench.datasets.spec.patterns import Patterns, resolved
 from slbench.datasets.store.index import columns
 from slbench.datasets.store.sample import EXACT_BITS, RIG, capture_prefix
 from slbench.objects.registry import artefacts
@@ -78,15 +79,6 @@ _OWN = ("name", "weight")
 _SHIPPED = "datasets"
 #: Tables of a scene that are looked into before it is loaded.
 _TABLES = ("rig", "camera", "render", "preview")
-
-
-class Patterns(Parameters):
-    """A pattern sequence whose frames are rendered `repeats` times."""
-
-    sequence: str
-    shifts: Shifts = 3
-    axes: Literal["u", "v", "uv"] = "u"
-    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
 
 
 class Constraints(Parameters):
@@ -204,6 +196,8 @@ class Specification(Parameters):
         """Return the names of the files that the resolved specification refers to."""
         names = {RIG} if self.scene.get("rig", {}).get("file") else set()
         names.update(self.modules or ())
+        for patterns in self.patterns:
+            names.update(patterns.files or ())
         for table in (*self.objects, *self.scene.get("objects", ())):
             names.update(file_names(table))
         return names
@@ -267,18 +261,26 @@ def load(
     names = [table["name"] for table in objects]
     if len(set(names)) != len(names):
         raise InputError(f"{path.name}: objects", "a name of its own for each", names)
-    values = read.model_dump() | {"scene": scene, "objects": objects}
+    sets, needed = [], []
+    for k, patterns in enumerate(read.patterns):
+        one, along, own_modules = resolved(
+            *(patterns, k, content["patterns"][k], scene, path, files, allow_modules)
+        )
+        sets.append(one.model_dump(exclude_none=True))
+        needed.append(along)
+        modules += own_modules
+    values = read.model_dump() | {"scene": scene, "objects": objects, "patterns": sets}
     values["modules"] = list(dict.fromkeys(modules)) or None
-    resolved = validated(Specification, values, path.name, separator=": ")
+    complete = validated(Specification, values, path.name, separator=": ")
     if not objects and not scene.get("objects"):
         raise InputError(f"{path.name}: objects", "one object at least", "none")
-    for place, distribution in resolved.distributions():
+    for place, distribution in complete.distributions():
         if distribution.add and distribution.base is None:
             where = f"{path.name}: {written(place)}"
             raise InputError(where, "base = ..., to add to", "none")
-    resolved.columns()
-    _check_marginals(resolved, path.name)
-    return resolved, files
+    complete.columns()
+    _check_marginals(complete, needed, path.name)
+    return complete, files
 
 
 def _check_tables(scene: Mapping[str, Any], where: str) -> None:
@@ -291,13 +293,15 @@ def _check_tables(scene: Mapping[str, Any], where: str) -> None:
             raise InputError(f"{where}.{key}", "a table", shown(table))
 
 
-def _check_marginals(specification: Specification, where: str) -> None:
+def _check_marginals(
+    specification: Specification, needed: Sequence[Sequence[str]], where: str
+) -> None:
     """Refuse patterns that could not be exposed from the marginals that are kept."""
     kept = specification.marginals
-    for k, patterns in enumerate(specification.patterns):
-        for axis in patterns.axes:
-            if kept and axis not in kept:
-                expected = f"{axis!r} too, which patterns[{k}] code"
+    for k, along in enumerate(needed):
+        for one in along:
+            if kept and one not in kept:
+                expected = f"{one!r} too, which patterns[{k}] code"
                 raise InputError(f"{where}: marginals", expected, ", ".join(kept))
 
 

@@ -79,6 +79,8 @@ def write_capture(folder: Path, prefix: str, shots: Capture) -> None:
             flat = module if module.startswith(f"{MODULE}.") else f"{MODULE}.{module}"
             (temporary / module).rename(folder / flat)
             manifest["modules"][k] = flat
+        for path in temporary.glob("*.png"):  # what codes show; equal ones of all captures
+            path.replace(folder / path.name)
         write_toml(folder / f"{prefix}.{MANIFEST}", manifest)
 
 

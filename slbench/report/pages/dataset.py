@@ -20,6 +20,7 @@ from slbench.core.show.display import length_unit
 from slbench.core.show.document import Cell, Picture, Table
 from slbench.datasets.manifest import Manifest
 from slbench.datasets.spec.distributions import column
+from slbench.datasets.spec.patterns import Patterns
 from slbench.datasets.spec.specification import from_dict
 from slbench.datasets.store import index
 from slbench.datasets.store.sample import REQUIRED, RIG, TRANSPORT, TRUTH, unpacked
@@ -183,7 +184,7 @@ def _drawn_table(manifest: Manifest, rows: Sequence[Row]) -> Table:
 
 def _patterns_table(manifest: Manifest) -> Table:
     body = tuple(
-        (prefix, value["sequence"], value["shifts"], value["axes"])
+        (prefix, Patterns(**value).title, value.get("shifts"), value.get("axes"))
         for prefix, value in manifest.captures.items()
     )
     note = "" if body else "None: light transport alone."
