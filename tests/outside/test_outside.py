@@ -77,6 +77,7 @@ def commands(folder, *options):
         [*fuse, "--json"],
         [*fit, "--models", "M1,M1w", "--json"],
         ["objects", "list", "--kinds", "--json"],
+        ["patterns", "list", "--json"],
     ]
 
 
@@ -84,7 +85,7 @@ def check_all(found, folder, origin):
     """Check what the commands gave, from whom `origin` says."""
     for one in found:
         assert one["status"] == 0, one["err"]
-    scan, decode, check, make, export, fuse, fit, kinds = (
+    scan, decode, check, make, export, fuse, fit, kinds, codes = (
         json.loads(one["out"].splitlines()[-1]) for one in found
     )
     assert scan["patterns"] == decode["patterns"] == "ramp"
@@ -97,6 +98,7 @@ def check_all(found, folder, origin):
     assert float((folder / "depths.csv").read_text().split(",")[-1]) > 100.0
     assert fuse["measure"] == "sobel"
     assert "M1w" in fit["x"]["models"]
+    assert {code["kind"]: code["from"] for code in codes}["ramp"] == origin
     assert kinds["box"] == origin
     assert kinds["sphere"] == "slbench"
 
@@ -111,6 +113,49 @@ def test_a_package_adds_one_of_each(target, tmp_path):
     check_all(outside.run(target, *commands(tmp_path)), tmp_path, "slbench-outside 0.1")
     written = json.loads((tmp_path / "out" / "provenance.json").read_text())
     assert written["extensions"]["packages"] == {"slbench-outside": "0.1"}
+
+
+def test_a_code_of_a_package_is_a_set_wherever_one_is_asked_for(target, tmp_path):
+    """By its word, and as an object of the package's module, which is code that is allowed."""
+    scene = SMALL_FILE | {"name": "own", "render": {"samples": 4}}
+    (tmp_path / "scene.toml").write_text(tomli_w.dumps(scene))
+    data = {"name": "ramps", "scene": {key: scene[key] for key in scene if key != "name"}}
+    named = "slbench_outside.code:Ramp"
+    for name, patterns in (("word", "ramp"), ("object", named)):
+        table = data | {"patterns": [{"sequence": patterns}]}
+        (tmp_path / f"{name}.toml").write_text(tomli_w.dumps(table))
+    compare = ["compare", tmp_path / "scene.toml", "--set", "1,8", "--set", "ramp", "--set", named]
+    scan = ["scan", tmp_path / "scene.toml", "--out", tmp_path / "out", "--json", "--patterns"]
+    make = ["dataset", "make", "--count", 1, "--workers", 0, "--json", "--out"]
+    commands = [
+        [*compare, "--repeats", 2, "--out", tmp_path / "compared", "--json"],
+        [*scan, "ramp"],
+        [*scan, named],
+        [*make, tmp_path / "made", tmp_path / "word.toml"],
+        [*make, tmp_path / "objects", tmp_path / "object.toml"],
+        ["patterns", "show", "ramp", "--json"],
+    ]
+    allowed = [0, 2, 4]
+    found = outside.run(
+        target,
+        *([*one, "--allow-modules"] if k in allowed else one for k, one in enumerate(commands)),
+        *(commands[k] for k in allowed),
+    )
+    for one in found[:6]:
+        assert one["status"] == 0, one["err"]
+    for one in found[6:]:
+        assert one["status"] == 2
+        assert "--allow-modules" in one["err"]
+        assert len(one["err"].splitlines()) == 1
+    compared, word, object_, *made, shown = (
+        json.loads(f["out"].splitlines()[-1]) for f in found[:6]
+    )
+    assert [one["name"] for one in compared["sets"]] == ["1,8", "ramp", named]
+    assert [one["frames"] for one in compared["sets"]] == [6, 3, 3]
+    assert compared["sets"][1]["completeness"] > 0.9
+    assert word["patterns"] == object_["patterns"] == shown["name"] == "ramp"
+    assert word["rms_mm"] == object_["rms_mm"]
+    assert [one["failed"] for one in made] == [0, 0]
 
 
 def test_the_package_has_one_of_each():

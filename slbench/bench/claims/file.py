@@ -94,7 +94,7 @@ class _File(Parameters):
 class Settings:
     """How a scene is measured: file, and what differs from it.
 
-    ``folder`` is that of the claims file, where it names patterns.
+    ``folder`` is that of the claims file, where it names patterns: files stand in it.
     """
 
     scene: Path
@@ -291,6 +291,8 @@ def _claim(table: _Claim, where: str, folder: Path) -> Claim:
     if versus == settings:
         _check_others(table.quantity, limits, where)
     _check_keys(table, measure, where)
+    if measure == "set":
+        settings = versus = replace(settings, folder=folder)
     if not table.name.isprintable():
         raise InputError(f"{where}: name", "one line of text", shown(table.name))
     each = _each(table.each, f"{where}: each")

@@ -34,15 +34,17 @@ from slbench.bench.claims.quantities import (
 from slbench.bench.claims.speed import speed_ratios
 from slbench.bench.compare.compare import NothingToCompare, compare, own_shifts
 from slbench.bench.compare.comparison import SetResult
-from slbench.bench.compare.sets import pattern_sets
+from slbench.bench.compare.sets import PatternSet, pattern_sets
 from slbench.core import resources
 from slbench.core.errors import located
 from slbench.core.io import plain
 from slbench.core.random import tagged_seed
 from slbench.core.show.display import length
 from slbench.objects.registry import artefacts
+from slbench.patterns import PatternSequence
+from slbench.patterns.given import in_words
 from slbench.scene.file import load_scene
-from slbench.scene.model import Scene, SceneObject
+from slbench.scene.model import USUAL_PATTERNS, Scene, SceneObject
 from slbench.simulate.floors import more_samples
 from slbench.simulate.scan import scan, score_scan
 
@@ -143,9 +145,7 @@ class Pools:
             for settings in {claim.settings, claim.versus}:
                 self.scene(settings)
             if claim.family == "set":
-                scene = self.scene(claim.settings)
-                shifts = claim.settings.shifts or own_shifts(scene)
-                pattern_sets(claim.sets, scene, shifts=shifts, equal=claim.equal)
+                self._sets(claim)
         for quantity in claim.quantities if claim.family == "set" else ():
             check_set(quantity, self.scene(claim.settings), f"{where}: quantity")
         if claim.family == "score":
@@ -154,14 +154,31 @@ class Pools:
             for quantity in claim.quantities[1:]:
                 resolve(quantity, self.scene(claim.versus), f"{where}: bound")
 
+    def _sets(self, claim: Claim) -> list[PatternSet]:
+        """Return the sets of a claim, called as it calls them."""
+        scene, settings = self.scene(claim.settings), claim.settings
+        found = pattern_sets(
+            claim.sets,
+            scene,
+            shifts=settings.shifts or own_shifts(scene),
+            equal=claim.equal,
+            folder=settings.folder,
+            allow_modules=self._allow_modules,
+        )
+        return [replace(one, name=text) for one, text in zip(found, claim.sets, strict=True)]
+
     def fingerprint(self, settings: Settings) -> str:
         """Return a digest of a scene: of its file and of what that refers to.
 
-        The file is merged into what it extends.  Objects count by kind and parameters wherever
+        The file is merged into what it extends.  Patterns that are no short text count by what they
+        show.  Objects count by kind and parameters wherever
         these are written, and those of mesh files by their vertices and faces.
         """
         scene = self.scene(settings)
         content = {"file": scene.specification, "objects": [_made_of(i) for i in scene.objects]}
+        own = scene.specification.get("patterns", {}).get("sequence", USUAL_PATTERNS)
+        if not in_words(settings.patterns or own):
+            content["patterns"] = _shown(scene.sequence)
         rig = scene.specification.get("rig", {}).get("file")
         if rig is not None:
             content["rig"] = _digest(resources.inside(settings.scene.parent, rig).read_bytes())
@@ -248,17 +265,16 @@ class Pools:
 
     def _comparisons(self, claim: Claim, scene: Scene) -> list[dict[str, SetResult]]:
         """Return the sets' results, repeat by repeat; none where nothing can be compared."""
-        settings = claim.settings
+        settings, sets = claim.settings, self._sets(claim)
 
         def one(seed: int) -> dict[str, SetResult]:
             try:
                 found = compare(
                     scene,
-                    claim.sets,
+                    sets,
                     repeats=claim.scans,
                     equal=claim.equal,
                     seed=seed,
-                    shifts=settings.shifts or own_shifts(scene),
                     question=False,
                 )
             except NothingToCompare:
@@ -293,6 +309,12 @@ def _made_of(item: SceneObject) -> dict[str, Any]:
     if files:
         values |= {part: _digest(getattr(artefact.mesh, part).tobytes()) for part in _MESH}
     return {"kind": artefact.kind, "parameters": values}
+
+
+def _shown(sequence: PatternSequence) -> str:
+    """Return a digest of what a sequence's frames show."""
+    shown = (sequence.shown(sequence.frames_along(one), one) for one in sequence.variations)
+    return _digest(b"".join(one.tobytes() for one in shown))
 
 
 def _digest(content: bytes) -> str:

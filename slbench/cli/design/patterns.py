@@ -120,7 +120,8 @@ def patterns(
     compare: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="<str>", help="Another sequence to predict and scan, such as 1,2,4; give each."
+            metavar="<str>",
+            help="Another set to predict and scan: 1,2,4, mine.toml; give each.",
         ),
     ] = None,
     repeats: Annotated[Repeats, typer.Option(help="scene: captures for the noise.")] = 20,
@@ -232,7 +233,9 @@ def patterns(
             "single step": single_step(width, noise, counts),
         }
         for text in compare or ():
-            others[text] = predict_text(text, width, noise, "--compare")
+            others[text] = predict_text(
+                text, width, noise, "--compare", allow_modules=allow_modules
+            )
         trials = []
         if loaded is not None:
             start = time.perf_counter()

@@ -24,7 +24,7 @@ def verify(
     ] = None,
     count: Annotated[Drawn, typer.Option(help="How many rigs to draw.")] = 24,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/verify"),
-    patterns: Annotated[str, typer.Option(help="Fringes of three shifts.")] = "1,5",
+    patterns: Annotated[str, typer.Option(help="A pattern set of three shifts.")] = "1,5",
     spp: Annotated[Samples, typer.Option(help="Samples a pixel.")] = 16,
     seed: Seed = 0,
     allow_modules: AllowModules = False,
@@ -53,6 +53,7 @@ def verify(
             patterns=patterns,
             samples=spp,
             seed=seed,
+            allow_modules=allow_modules,
             on_progress=report,
         )
     found = {

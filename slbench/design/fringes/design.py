@@ -40,7 +40,13 @@ from slbench.design.fringes.unwrapping import (
     absolute_sigma,
     sampled_sigma,
 )
-from slbench.patterns import Axis, Fringes, PatternSequence
+from slbench.patterns import (
+    Axis,
+    Fringes,
+    PatternSequence,
+    PatternSource,
+    read_patterns,
+)
 from slbench.patterns.fringes import MIN_SHIFTS
 
 Array = NDArray[np.float64]
@@ -333,17 +339,30 @@ def doubling(width_px: int, noise: PhaseNoise, counts: Sequence[int]) -> Sequenc
 
 
 def predict_text(
-    text: str, width_px: int, noise: PhaseNoise, where: str = "sequence"
+    text: PatternSource,
+    width_px: int,
+    noise: PhaseNoise,
+    where: str = "sequence",
+    *,
+    allow_modules: bool = False,
 ) -> SequenceDesign:
-    """Return :func:`predict` of a sequence in words, such as ``1,2,4`` or ``1,8@12``.
+    """Return :func:`predict` of a pattern set, such as ``1,2,4``, ``1,8@12`` or ``mine.toml``.
 
     Raises
     ------
     InputError
         If it is none, or not of fringe sets alone.
     """
-    panel = (width_px, width_px)
-    sequence = PatternSequence.parse(text, panel, shifts=noise.shifts, axes="u")
+    found = read_patterns(
+        *(text, (width_px, width_px)),
+        shifts=noise.shifts,
+        allow_modules=allow_modules,
+        keep_panel=True,
+        where=where,
+    )
+    sequence, text = found.sequence, found.name
+    if sequence.panel[0] != width_px:
+        raise InputError(where, f"patterns for a width of {width_px} px", f"{sequence.panel[0]} px")
     shifts = [len(placed.frames) for placed in sequence.fringe_sets("u")]
     if len(shifts) < len(sequence.parts):
         raise InputError(where, "fringe sets alone", text)

@@ -24,7 +24,7 @@ from slbench.core.io import atomic_path
 from slbench.core.show.display import brief
 from slbench.design.rig.evaluate import Evaluation, evaluate
 from slbench.design.rig.hardware import Hardware, as_configurations
-from slbench.patterns import PatternSequence
+from slbench.patterns import PatternSource, read_patterns
 from slbench.rig import Pose
 from slbench.scene.model import Scene, SceneObject
 from slbench.score.points import point_errors
@@ -63,11 +63,12 @@ def rendered_errors(
     hardware: Hardware,
     configuration: ArrayLike,
     *,
-    patterns: str = "1,5",
+    patterns: PatternSource = "1,5",
     samples: int = 16,
     seed: int = 0,
     noise: bool = True,
     heights_mm: Sequence[float] | None = None,
+    allow_modules: bool = False,
 ) -> tuple[float, float]:
     """Scan a plate of the volume's size and return the RMS errors over its heights, mm.
 
@@ -76,14 +77,17 @@ def rendered_errors(
     hardware : Hardware
     configuration : (6,) float
         Design variables, mm and rad.
-    patterns : str
-        Fringes of three shifts; thesis 6.2.2 projects one and five.
+    patterns : str and whatever else is a pattern set
+        Of three shifts (:func:`slbench.patterns.read_patterns`); thesis 6.2.2 projects one fringe
+        and five.
     samples : int
         Monte Carlo samples a pixel.
     seed : int
     noise : bool
     heights_mm : sequence of float, optional
         Heights of the plate; three through the volume by default.
+    allow_modules : bool
+        Run the Python modules that the patterns name: code of their authors.
 
     Returns
     -------
@@ -96,6 +100,8 @@ def rendered_errors(
     plate = objects.build_artefact(
         "plane", {"size_mm": [size[0], size[1]], "thickness_mm": 0.1 * min(size[:2])}
     )
+    panel = rig.projector.width, rig.projector.height
+    sequence = read_patterns(patterns, panel, allow_modules=allow_modules).sequence
     squares: list[Array] = []
     heights = [h * size[2] / 2 for h in _HEIGHTS] if heights_mm is None else heights_mm
     for k, height in enumerate(heights):
@@ -103,7 +109,7 @@ def rendered_errors(
             "plate",
             rig,
             (SceneObject(plate, Pose(np.eye(3), np.array([0.0, 0.0, height]))),),
-            PatternSequence.parse(patterns, (rig.projector.width, rig.projector.height)),
+            sequence,
             hardware.detector,
             samples=samples,
         )
@@ -122,9 +128,10 @@ def verify(
     hardware: Hardware,
     configurations: ArrayLike,
     *,
-    patterns: str = "1,5",
+    patterns: PatternSource = "1,5",
     samples: int = 16,
     seed: int = 0,
+    allow_modules: bool = False,
     on_progress: Callable[[str, float], None] | None = None,
 ) -> Verification:
     """Predict and render many configurations and compare their ranks.
@@ -134,7 +141,7 @@ def verify(
     hardware : Hardware
     configurations : (n, 6) float
         At least three, mm and rad.
-    patterns, samples, seed
+    patterns, samples, seed, allow_modules
         As for :func:`rendered_errors`.
     on_progress : callable, optional
 
@@ -149,7 +156,11 @@ def verify(
     errors = np.empty((len(rows), 2))
     for i, row in enumerate(rows):
         errors[i] = rendered_errors(
-            hardware, row, patterns=patterns, samples=samples, seed=seed + 100 * i
+            *(hardware, row),
+            patterns=patterns,
+            samples=samples,
+            seed=seed + 100 * i,
+            allow_modules=allow_modules,
         )
         if on_progress:
             on_progress("render", (i + 1) / len(rows))

@@ -44,6 +44,7 @@ from slbench.bench.compare.compare import compare
 from slbench.bench.compare.comparison import Step
 from slbench.bench.compare.tiles import holm
 from slbench.core.errors import InputError
+from slbench.patterns import PatternSequence
 from slbench.patterns.fringes import decode as decoding
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene
@@ -309,6 +310,28 @@ class TestChecking:
         # The same comparisons gave both.
         assert np.array_equal(much.values, little.values)
 
+    def test_sets_of_every_form(self, tmp_path):
+        parts = PatternSequence.parse("1,10@5", (640, 480)).to_dict()["parts"]
+        (tmp_path / "mine.toml").write_text(tomli_w.dumps({"parts": parts}))
+        module = (
+            "from slbench.patterns import Fringes, decode\nSET = [Fringes(1, 6), Fringes(9, 6)]\n"
+        )
+        (tmp_path / "mine.py").write_text(module)
+        few = {"scans": 2, "repeats": 2, "max": 1e3}
+        tables = [
+            few | {"name": "file", "quantity": "set[mine.toml].frames"},
+            few | {"name": "object", "quantity": "set[mine.py:SET].frames"},
+            few | {"name": "decoder", "quantity": "set[1,10 | mine.py:decode].frames"},
+        ]
+        found = check(tmp_path, *tables, pools=Pools(allow_modules=True))
+        assert [result.values[0] for result in found] == [10, 12, 6]
+        with pytest.raises(InputError, match="--allow-modules"):
+            Pools().check(claims_of(tmp_path, *tables)[1])
+        scans = [{"quantity": "completeness", "min": 0.5, "repeats": 2}]
+        tables = [scans[0] | {"name": p, "patterns": p} for p in ("mine.toml", "mine.py:SET")]
+        found = check(tmp_path, *tables, pools=Pools(allow_modules=True))
+        assert [result.outcome for result in found] == ["holds", "holds"]
+
 
 def keep(folder):
     """Measure CLAIMS and keep them as their baseline."""
@@ -443,6 +466,14 @@ class TestBaseline:
             if "artefact" in table:
                 before, after = seen(lambda: block.write_text("# ours\n" + block.read_text()))
                 assert after == before
+        # So are patterns of a file.
+        patterns = tmp_path / "mine.toml"
+        patterns.write_text('[patterns]\nsequence = "1,10"\n')
+        Path(write_scene(tmp_path, patterns={"sequence": "mine.toml"})).rename(
+            tmp_path / "own.toml"
+        )
+        before, after = seen(lambda: patterns.write_text('[patterns]\nsequence = "1,12"\n'))
+        assert after != before
         rig = {"name": "own", "objects": [{"artefact": "plane"}], "rig": {"file": "rig.yaml"}}
         (tmp_path / "own.toml").write_text(tomli_w.dumps(rig))
         other = small("plane", divisor=2).rig

@@ -17,13 +17,14 @@ from slbench.design.fringes.design import (
     doubling,
     noise_levels,
     predict,
+    predict_text,
     single_step,
     thesis_sequence,
     usable,
 )
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.unwrapping import absolute_sigma
-from slbench.patterns import Fringes, order_error_probability, unwrap
+from slbench.patterns import Fringes, PatternSequence, order_error_probability, unwrap
 
 TURN = 2.0 * np.pi
 N_SIGMA = 4.5
@@ -508,3 +509,17 @@ def test_prediction_refuses_in_one_line(fringes, shifts, message):
     noise = PhaseNoise(np.array([1, 5, 10, 50]), sigma, np.zeros(1))
     with pytest.raises(InputError, match=message):
         predict(400, noise, fringes, shifts)
+
+
+def test_a_set_in_a_file_is_predicted_as_its_text_is(tmp_path):
+    module = "from slbench.patterns import Fringes\nSET = [Fringes(1), Fringes(8)]\n"
+    (tmp_path / "mine.py").write_text(module)
+    (tmp_path / "mine.toml").write_text('[patterns]\nsequence = "1,8@6"\n')
+    for given, text in ((f"{tmp_path}/mine.py:SET", "1,8"), (tmp_path / "mine.toml", "1,8@6")):
+        found = predict_text(given, 400, MACRO_NOISE, allow_modules=True)
+        assert found.to_dict() == predict_text(text, 400, MACRO_NOISE).to_dict()
+    with pytest.raises(InputError, match="--allow-modules"):
+        predict_text(f"{tmp_path}/mine.py:SET", 400, MACRO_NOISE)
+    other = PatternSequence.parse("1,8", (640, 480))
+    with pytest.raises(InputError, match="patterns for a width of 400 px, got 640 px"):
+        predict_text(other, 400, MACRO_NOISE)

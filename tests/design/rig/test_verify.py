@@ -43,6 +43,10 @@ def test_ranks_and_picture(tmp_path):
     assert len(result.rendered_mm) == len(result.predicted) == 3
     draw(result, tmp_path / "verify.png")
     assert (tmp_path / "verify.png").stat().st_size > 5000
+    # The same patterns from a file.
+    (tmp_path / "mine.toml").write_text('[patterns]\nsequence = "1,5"\n')
+    same = verify(HARDWARE, TABLE_4[[0, 12, 17]], samples=4, patterns=tmp_path / "mine.toml")
+    np.testing.assert_array_equal(same.rendered_mm, result.rendered_mm)
 
 
 def test_too_few_configurations():
