@@ -22,6 +22,7 @@ pattern_codes: Registry[type[Code]] = Registry(
         "embedded": "slbench.patterns.codes.embedded:EmbeddedPhaseShifting",
         "modulated": "slbench.patterns.codes.modulated:ModulatedPhaseShifting",
         "images": "slbench.patterns.images:Images",
+        "composite": "slbench.patterns.codes.spatial.composite:CompositeFringes",
         "fourier": "slbench.patterns.codes.spatial.fourier:FourierTransform",
         "speckle": "slbench.patterns.codes.random.speckle:Speckle",
         "optimised": "slbench.patterns.codes.random.optimised:OptimisedCode",
