@@ -103,11 +103,12 @@ def _decode_plane(run: Run, observed: Observed) -> Decoded:
 
     pixels = observed.pixels[[k for placed in run.parts for k in placed.frames]]
     images = [p.code.image(k, run.panel) for p in run.parts for k in range(len(p.frames))]
-    result = match_plane(pixels, np.array(images), observed.noise)
     mean: FloatArray = pixels.mean(axis=0, dtype=np.float64)
-    modulation = 0.5 * result.gain
     noise = np.sqrt(observed.noise.variance(mean))
-    good = (modulation >= observed.min_modulation) & (modulation >= observed.min_snr * noise)
+    least = np.maximum(observed.min_modulation, observed.min_snr * noise)
+    result = match_plane(pixels, np.array(images), observed.noise, 2.0 * least)
+    modulation = 0.5 * result.gain
+    good = modulation >= least
     evidence: dict[int, dict[str, Any]] = {}
     if observed.keep_evidence:
         evidence[run.parts[0].index] = {
