@@ -27,6 +27,7 @@ pattern_codes: Registry[type[Code]] = Registry(
         "speckle": "slbench.patterns.codes.random.speckle:Speckle",
         "optimised": "slbench.patterns.codes.random.optimised:OptimisedCode",
         "de-bruijn": "slbench.patterns.codes.spatial.de_bruijn:DeBruijn",
+        "m-array": "slbench.patterns.codes.spatial.m_array:MArray",
     },
     base="slbench.patterns.base:Code",
 )

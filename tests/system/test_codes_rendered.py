@@ -32,9 +32,9 @@ CODES = {
     "optimised": ("optimised5", 0.15),
     "de-bruijn": ("white+black+de-bruijn8px", 0.05),
 }
-#: Shown by their own tests: flats have no place, pictures none of their own, two need the whole
+#: Shown by their own tests: flats have no place, pictures none of their own, three need the whole
 #: matrix, one a projector out of focus.
-ELSEWHERE = {"flat", "images", "modulated", "composite", "binary-fringes"}
+ELSEWHERE = {"flat", "images", "modulated", "composite", "m-array", "binary-fringes"}
 #: Of whole cells, or known at edges only: a deviation, but no noise.
 CELLS = {"gray", "xor", "de-bruijn"}
 
