@@ -198,6 +198,48 @@ def test_floats_are_decoded_as_they_are(kind, tmp_path):
     check_round_trip(shots, tmp_path / "saved")
 
 
+@pytest.mark.parametrize("kind", ["u1", "<u2", ">u2", "<f4", ">f4", "<f8"])
+@pytest.mark.parametrize("order", "CF")
+def test_arrays_are_read_as_they_are(kind, order, tmp_path):
+    frames = (frames8() if "u" in kind else values()).astype(kind)
+    for k, frame in enumerate(frames):
+        np.save(tmp_path / f"{k}.npy", np.asarray(frame, order=order))
+    manifest(tmp_path, "*.npy", **({"bit_depth": 8} if kind == "u1" else {}))
+    shots = read_capture(tmp_path)
+    assert shots.frames.dtype == frames.dtype.newbyteorder("=")
+    np.testing.assert_array_equal(shots.frames, frames)
+    check(shots)
+    check_round_trip(shots, tmp_path / "saved")
+
+
+@pytest.mark.parametrize(
+    ("array", "got"),
+    [
+        (np.zeros((4, 5, 3), np.uint8), r"\(4, 5, 3\)"),
+        (np.zeros((4, 5), np.int64), "int64"),
+        (np.zeros((4, 5), bool), "bool"),
+        (np.zeros((0, 5)), r"\(0, 5\)"),
+        (np.zeros((4, 5), "U3"), "U3"),
+        (np.full((4, 5), None), "object"),
+    ],
+)
+def test_arrays_that_are_no_frames_are_refused(array, got, tmp_path):
+    np.save(tmp_path / "0.npy", array)
+    manifest(tmp_path, "*.npy")
+    with pytest.raises(InputError, match=rf"0\.npy.*expected .*array.*got.*{got}"):
+        read_frame(tmp_path / "0.npy")
+
+
+@pytest.mark.parametrize("spoilt", [b"", b"no array", b"\x93NUMPY\x01\x00\xff\xff{", "cut", "more"])
+def test_damaged_arrays_are_refused(spoilt, tmp_path):
+    path = tmp_path / "0.npy"
+    np.save(path, frames8()[0])
+    whole = path.read_bytes()
+    path.write_bytes({"cut": whole[:-1], "more": whole + b"0"}.get(spoilt, spoilt))
+    with pytest.raises(InputError, match=r"0\.npy: expected"):
+        read_frame(path)
+
+
 def test_floats_of_full_scale_one_are_questioned(tmp_path):
     for k, frame in enumerate(values() / 255.0):
         write_tiff(tmp_path / f"{k}.tif", frame)

@@ -24,6 +24,7 @@ from slbench.cli import SECTIONS
 from slbench.cli.lazy import Group
 from slbench.core import resources
 from slbench.core.io import write_npz, write_ply
+from slbench.core.io.images import write_exr, write_png, write_tiff
 from slbench.core.registry import resolved
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.transport import LightTransport
@@ -170,6 +171,50 @@ ARTEFACTS = {
 TEXT_MESHES = ("obj", "off", "stl_ascii", "gltf")
 
 # --- captures --------------------------------------------------------------------------------
+
+
+#: Ways of keeping frames: what ``frames`` says, and the file that is spoilt.
+KEPT = {
+    "glob": ("kept/*.png", "kept/2.png"),
+    "colour": (["kept/0.png#r", "kept/0.png#g", "kept/0.png#b", "kept/1*.png"], "kept/0.png"),
+    "pages": ("kept/all.tif", "kept/all.tif"),
+    "left-aligned": ("kept/*.png", "kept/2.png"),
+    "float": ("kept/*.tiff", "kept/2.tiff"),
+    "exr": ("kept/*.exr", "kept/2.exr"),
+    "npy": ("kept/*.npy", "kept/2.npy"),
+}
+
+
+def kept(kind: str) -> Callable[[Path], None]:
+    """Return what makes ``capture`` with its frames kept in another way."""
+
+    def prepare(folder: Path) -> None:
+        scanned(folder)
+        capture = folder / "capture"
+        frames = [cv2.imread(str(p), -1) for p in sorted((capture / "frames").glob("*.png"))]
+        (capture / "kept").mkdir()
+        if kind == "pages":
+            assert cv2.imwritemulti(str(capture / "kept/all.tif"), frames)
+        elif kind == "colour":
+            write_png(capture / "kept/0.png", np.stack(frames[:3], axis=-1))
+            frames = frames[3:]
+        for k, frame in enumerate(frames):
+            if kind == "left-aligned":
+                write_png(capture / f"kept/{k}.png", frame.astype(np.uint16) << 8)
+            elif kind == "float":
+                write_tiff(capture / f"kept/{k}.tiff", frame.astype(np.float32))
+            elif kind == "exr":
+                write_exr(capture / f"kept/{k}.exr", {"Y": frame.astype(np.float32)})
+            elif kind == "npy":
+                np.save(capture / f"kept/{k}.npy", frame)
+            elif kind != "pages":
+                write_png(capture / f"kept/{'1' * (kind == 'colour')}{k}.png", frame)
+        manifest = tomllib.loads((capture / "capture.toml").read_text())
+        manifest.pop("bit_depth", None)
+        manifest["frames"] = KEPT[kind][0]
+        (capture / "capture.toml").write_text(tomli_w.dumps(manifest))
+
+    return prepare
 
 
 def photographs(suffix: str) -> Callable[[Path], None]:
@@ -452,6 +497,14 @@ ROWS: list[Row] = [
     of_file("capture.toml", "capture/capture.toml", DECODE, scanned, toml_of),
     of_file("rig.yaml", "capture/rig.yaml", DECODE, scanned, text_of),
     of_file("frame", "capture/frames/002.png", DECODE, scanned, bytes_of),
+    *(
+        row
+        for kind, (_, path) in KEPT.items()
+        for row in (
+            of_file(f"frame {kind}", f"capture/{path}", DECODE, kept(kind), bytes_of, 0.5),
+            of_file(f"frames {kind}", "capture/capture.toml", DECODE, kept(kind), toml_of, 0.3),
+        )
+    ),
     *(
         of_file(
             f"photograph {kind}",

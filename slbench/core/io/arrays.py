@@ -5,7 +5,7 @@ import re
 import zipfile
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import plyfile
@@ -220,20 +220,46 @@ def read_npz(path: str | Path, names: Collection[str] | None = None) -> dict[str
         raise InputError(path, "an NPZ file of plain arrays", str(error)) from error
 
 
+def read_npy(path: str | Path) -> NDArray[Any]:
+    """Read the array of an NPY file; pickles are refused.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, corrupt, not an NPY, holds pickled objects, or is not as large as
+        its header says.
+    """
+    path = existing(path)
+    try:
+        with path.open("rb") as stream:
+            _check_header(stream, path.stat().st_size, path)
+            stream.seek(0)
+            return npy.read_array(stream, allow_pickle=False)
+    except InputError:
+        raise
+    # Headers are parsed by Python, and damaged ones raise whatever comes.
+    except Exception as error:
+        raise InputError(path, "an NPY file of a plain array", str(error)) from error
+
+
+def _check_header(stream: IO[bytes], size: int, where: str | Path) -> None:
+    """Refuse an array whose header does not agree with the `size` of all of it."""
+    version = npy.read_magic(stream)
+    read_header = npy.read_array_header_1_0 if version == (1, 0) else None
+    if version == (2, 0):
+        read_header = npy.read_array_header_2_0
+    if read_header is None:  # 3.0 is for names of fields beyond Latin-1
+        raise ValueError(f"array format {version}")
+    shape, _, dtype = read_header(stream)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != size - stream.tell():
+        got = f"{dtype} of shape {shape} in {size} bytes"
+        raise InputError(where, "a plain array, all of it", got)
+
+
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) -> NDArray[Any]:
     """Read one array whose header agrees with the size that the archive states."""
     with archive.open(entry) as stream:
-        version = npy.read_magic(stream)
-        read_header = npy.read_array_header_1_0 if version == (1, 0) else None
-        if version == (2, 0):
-            read_header = npy.read_array_header_2_0
-        if read_header is None:  # 3.0 is for names of fields beyond Latin-1
-            raise ValueError(f"array format {version} in {entry.filename}")
-        shape, _, dtype = read_header(stream)
-        size = math.prod(shape) * dtype.itemsize
-        if dtype.hasobject or size != entry.file_size - stream.tell():
-            where = f"{path}: {entry.filename.removesuffix('.npy')}"
-            got = f"{dtype} of shape {shape} in {entry.file_size} bytes"
-            raise InputError(where, "a plain array, all of it", got)
+        where = f"{path}: {entry.filename.removesuffix('.npy')}"
+        _check_header(stream, entry.file_size, where)
     with archive.open(entry) as stream:
         return npy.read_array(stream, allow_pickle=False)

@@ -15,6 +15,7 @@ import OpenEXR
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.io.arrays import read_npy
 from slbench.core.io.atomic import atomic_path, describe, existing, native_writing, write_bytes
 from slbench.core.io.bounds import check_image, check_size
 from slbench.core.io.headers import image_header, tiff_pages
@@ -22,6 +23,8 @@ from slbench.core.io.headers import image_header, tiff_pages
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _TIFF_SUFFIXES = (".tif", ".tiff")
+#: Types of digital numbers in a frame.
+_FRAMES = (np.uint8, np.uint16, np.float32, np.float64)
 #: Bytes of an image file, which OpenCV counts in 31 bits.
 _LARGEST = 2**31 - 1
 
@@ -194,7 +197,7 @@ def page_count(path: str | Path) -> int:
 def read_frame(
     path: str | Path, *, page: int = 0, channel: str | None = None
 ) -> tuple[NDArray[Any], int]:
-    """Read a camera's frame as grey values or one channel: what `read_grey` reads, floats, EXR.
+    """Read a camera's frame as grey or one channel: what `read_grey` reads, floats, EXR, NPY.
 
     Parameters
     ----------
@@ -221,14 +224,26 @@ def read_frame(
     path = Path(path)
     if path.suffix.lower() == ".exr":
         image = _exr_frame(path)
+    elif path.suffix.lower() == ".npy":
+        image = _npy_frame(path)
     else:
-        image = _decoded(path, page, (np.uint8, np.uint16, np.float32, np.float64))
+        image = _decoded(path, page, _FRAMES)
     if channel is not None:
         if image.ndim == 2:
             raise InputError(f"{path}#{channel}", "a colour picture", "a grey one")
         image = np.ascontiguousarray(image[:, :, "bgr".index(channel)])
     bits = 0 if image.dtype.kind == "f" else int(np.bitwise_or.reduce(image, axis=None))
     return _grey(image), bits
+
+
+def _npy_frame(path: Path) -> NDArray[Any]:
+    """Return the array of an NPY file, in the machine's byte order."""
+    image = read_npy(path)
+    native = image.dtype.newbyteorder("=")
+    if image.ndim != 2 or image.size == 0 or native not in _FRAMES:
+        got = describe(image)
+        raise InputError(path, "a (V, U) array of uint8, uint16, float32 or float64", got)
+    return np.ascontiguousarray(image, dtype=native)
 
 
 def _exr_frame(path: Path) -> NDArray[Any]:
