@@ -183,6 +183,13 @@ class Capture(Value):
             return self.saturation_dn
         return inf if self.bit_depth is None else 2**self.bit_depth - 1
 
+    @property
+    def least_noise(self) -> NoiseModel:
+        """The stated noise; else rounding to whole numbers, which floats have none of."""
+        if self.noise is not None:
+            return self.noise
+        return NoiseModel(step_dn=0.0 if self.frames.dtype.kind == "f" else 1.0)
+
     def apart(self) -> Capture:
         """Return the channels of colour pictures as frames of their own; itself without any."""
         matrix, noise = self.sequence.crosstalk, self.noise
@@ -210,7 +217,7 @@ class Capture(Value):
         return decode(
             self.frames,
             self.sequence,
-            noise=self.noise,
+            noise=self.least_noise,
             saturation=self.top_dn,
             min_modulation=self.least_modulation_dn if min_modulation is None else min_modulation,
             **options,
@@ -324,8 +331,6 @@ class Capture(Value):
             if table.rig is not None:
                 rig = read_rig(allowed(path.parent, table.rig, allow_outside), pair).pair(pair)
             noise = table.noise
-            if noise is None and frames.dtype.kind == "f":
-                noise = NoiseModel(step_dn=0.0)  # floats are not rounded to whole numbers
             capture = cls(
                 frames,
                 sequence,
@@ -339,14 +344,21 @@ class Capture(Value):
                 table.min_modulation_dn and table.min_modulation_dn / 2**shift,
                 pair,
             )
-        if frames.dtype.kind == "f" and np.nanmax(frames) < 2.0 * capture.least_modulation_dn:
-            warn_user(
-                path,
-                f"no value is above {np.nanmax(frames):.3g}, and a modulation below "
-                f"{capture.least_modulation_dn:g} is not measured: frames of full scale 1 need a "
-                "smaller min_modulation_dn",
-            )
+        if frames.dtype.kind == "f":
+            _question_scale(path, capture)
         return capture
+
+
+def _question_scale(path: Path, capture: Capture) -> None:
+    """Question floats that are too small for any modulation to be measured."""
+    least, frames = capture.least_modulation_dn, capture.frames
+    largest = np.max(frames, initial=-inf, where=np.isfinite(frames))
+    if -inf < largest < 2.0 * least:
+        warn_user(
+            path,
+            f"no value is above {largest:.3g}, and a modulation below {least:g} is not measured: "
+            "frames of full scale 1 need a smaller min_modulation_dn",
+        )
 
 
 def _shifted_noise(

@@ -51,7 +51,7 @@ def noise_of(capture: Capture, phase: PhaseMap) -> tuple[NoiseModel, NoiseKind]:
     samples = _from_fits(capture, phase) + _from_repeats(capture)
     levels = [np.concatenate([one[k] for one in samples]) for k in range(2)] if samples else []
     if not levels or len(levels[0]) < _LEAST:
-        return NoiseModel(), "lower bound"
+        return capture.least_noise, "lower bound"
     alpha, beta = _line(levels[0], levels[1])
     # Rounding is in the differences already.
     return NoiseModel(read_dn=float(np.sqrt(alpha)), gain_dn_per_e=beta, step_dn=0.0), "measured"

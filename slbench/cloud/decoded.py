@@ -250,7 +250,7 @@ def decode_capture(
             **options,
         )
 
-    phase = decoded_with(capture.noise or NoiseModel())
+    phase = decoded_with(capture.least_noise)
     noise, kind = noise_of(capture, phase)
     exposure = exposure_doubt(capture, phase)
     doubts = [exposure] if exposure else manifest_doubts(capture.apart(), phase)

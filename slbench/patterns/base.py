@@ -252,6 +252,13 @@ class Code(Value, ABC):
         """
         return None
 
+    def periods(self, panel: Panel) -> float:
+        """Return how often the code repeats itself across the panel; of codes that refine.
+
+        The finest is decoded last, whatever was shown last.
+        """
+        return self.fringe_count(panel) or 1.0
+
     def relative_phase(
         self, frames: ArrayLike, panel: Panel
     ) -> tuple[FloatArray, FloatArray, FloatArray]:

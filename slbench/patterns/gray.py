@@ -172,7 +172,7 @@ class GrayCode(Code):
         """Raise InputError if other codes of the axis come first."""
         if before:
             where = f"decode: parts[{run.parts[0].index}]"
-            expected = f"the Gray code before the fringes along {run.axes[0]}"
+            expected = f"the Gray code before the other codes along {run.axes[0]}"
             raise InputError(where, expected, "after")
 
     @classmethod

@@ -192,8 +192,11 @@ class PatternSequence(Value):
             else:
                 groups.append([placed])
                 latest.update(dict.fromkeys(code.axes, groups[-1]))
-        groups += refining.values()
-        runs = [Run(tuple(group), self.panel, self.unwrap) for group in groups]
+        # The finest gives the coordinate, whatever was shown last.
+        refined = sorted(
+            refining.values(), key=lambda g: max(p.code.periods(self.panel) for p in g)
+        )
+        runs = [Run(tuple(group), self.panel, self.unwrap) for group in (*groups, *refined)]
         for i, run in enumerate(runs):
             run.family.check_run(run, [r for r in runs[:i] if set(r.axes) & set(run.axes)])
         return runs

@@ -47,6 +47,9 @@ _NEAR = 0.06
 _MOST_BLUR_PX = 20.0
 #: Wavelengths of light that lenses take, nm.
 _WAVELENGTHS_NM = (100.0, 20_000.0)
+#: Focus over the distance of the volume, of lenses that see something.
+_LIKE = (0.3, 3.0)
+_LEAST_DISTANCE_MM = 10.0
 #: Places along each side of a panel that are asked whether they see anything.
 _SAMPLED = 33
 
@@ -151,11 +154,27 @@ def wavelength_doubt(device: Device) -> str | None:
     nm = device.lens.wavelength_nm
     if nm == 0.0:
         return None
-    for unit, factor in (("µm", 1e3), ("mm", 1e6), ("m", 1e9)):
+    for unit, factor in (("µm", 1e3), ("mm", 1e6), ("m", 1e9), ("pm", 1e-3)):
         if not _fits(nm, _WAVELENGTHS_NM) and _fits(nm * factor, _WAVELENGTHS_NM):
             return f"{nm:.4g} nm is no light; in {unit} it would be {nm * factor:.4g} nm"
     if device.lens.aperture_radius_mm == 0.0:
         return f"{nm:.4g} nm have no effect: a pinhole (no f_number) does not diffract here"
+    return None
+
+
+def focus_doubt(device: Device) -> str | None:
+    """Question a focus a thousand times as near or as far as the middle of the volume."""
+    focus = device.lens.focus_distance_mm
+    if not np.isfinite(focus) or device.lens.aperture_radius_mm == 0.0:
+        return None
+    distance = -float(device.pose.position @ device.pose.rotation[:, 2])
+    for unit, factor in (("metres", 1e3), ("µm", 1e-3)):
+        # Where the world is a device's own frame, its origin is no volume.
+        if distance > _LEAST_DISTANCE_MM and _fits(focus * factor / distance, _LIKE):
+            return (
+                f"{focus:.4g} mm, where the volume is {length(distance)} away; "
+                f"in {unit} it would be {length(focus * factor)}"
+            )
     return None
 
 
@@ -178,6 +197,8 @@ def rig_doubts(rig: Rig) -> Iterator[tuple[str, str]]:
             yield f"pitch_um of the {name}", doubt
         if doubt := wavelength_doubt(device):
             yield f"wavelength_nm of the {name}", doubt
+        if doubt := focus_doubt(device):
+            yield f"focus_distance_mm of the {name}", doubt
         if doubt := blur_doubt(device):
             yield f"blur_px of the {name}", doubt
         if any(device.distortion) and (doubt := fold_doubt(device)):

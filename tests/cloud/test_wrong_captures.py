@@ -302,3 +302,32 @@ def test_gaps_are_noise_in_a_right_rig():
     assert np.median(np.abs(found.gap.deviations)) == pytest.approx(expected, rel=0.05)
     assert found.lost == {"behind": 0, "no_meeting": 0}
     assert found.to_dict()["ray_gap"]["mm"]["p95"] < 0.05
+
+
+def test_noise_of_floats_is_measured_as_that_of_whole_numbers():
+    """Floats are not rounded: without a statement their noise is unknown, and not zero."""
+    sequence = PatternSequence((96, 40), (Fringes(1, 4), Fringes(4, 4)))
+    clean = one_to_one(sequence, 0.0).astype(np.float32)
+    noisy = clean + np.random.default_rng(4).normal(0.0, 1.0, clean.shape).astype(np.float32)
+    found = decoded(noisy, sequence)
+    assert found.noise_kind == "measured"
+    assert found.warnings == ()
+    assert np.sqrt(found.noise.variance(85.0)) == pytest.approx(1.0, rel=0.08)
+    assert np.nanmedian(found.phase.sigma["u"]) > 0.0
+    three = PatternSequence((96, 40), (Fringes(1, 3), Fringes(4, 3)))
+    assert decoded(one_to_one(three, 0.0).astype(np.float32), three).noise_kind == "lower bound"
+
+
+@pytest.mark.parametrize("wrong", ["binary", "reversed"])
+def test_bits_that_lie_beyond_the_panel_are_questioned(wrong):
+    """A Gray code alone: 640 columns of 1024 that ten bits count."""
+    shown = PatternSequence((640, 40), (GrayCode("u"),))
+    frames = one_to_one(shown, 0.0)
+    assert decoded(frames, shown).warnings == ()
+    stated = shown
+    if wrong == "binary":
+        stated = PatternSequence((640, 40), (GrayCode("u", code="binary"),))
+    else:
+        frames = frames.reshape(-1, 2, *frames.shape[1:])[::-1].reshape(frames.shape).copy()
+    found = decoded(frames, stated)
+    assert any("beyond the panel" in one for one in found.warnings)

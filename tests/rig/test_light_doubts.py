@@ -1,9 +1,10 @@
 """Wavelengths and blurs that were probably meant otherwise."""
 
+import numpy as np
 import pytest
 
-from slbench.rig import Camera, Lens
-from slbench.rig.doubts import blur_doubt, wavelength_doubt
+from slbench.rig import Camera, Lens, Pose
+from slbench.rig.doubts import blur_doubt, focus_doubt, wavelength_doubt
 
 
 def camera(nm, aperture=2.0):
@@ -36,3 +37,29 @@ def test_a_blur_that_leaves_no_fringes_is_questioned():
     said = blur_doubt(Camera(64, 48, (0.01, 0.01), Lens(16.0, 2.0, 400.0), blur_px=25.0)) or ""
     assert "finer than 100 px" in said
     assert "25 µm would be 2.5 px" in said
+
+
+def focused(distance_mm, focus_mm, aperture=2.0):
+    at = Pose(np.eye(3), np.array([0.0, 0.0, -distance_mm]))  # looks at the origin
+    return Camera(64, 48, (0.01, 0.01), Lens(16.0, aperture, focus_mm), pose=at)
+
+
+@pytest.mark.parametrize(
+    ("distance", "focus", "aperture"),
+    [
+        (450.0, 450.0, 2.0),
+        (450.0, 300.0, 2.0),
+        (450.0, 2000.0, 2.0),
+        (450.0, np.inf, 2.0),
+        (450.0, 0.45, 0.0),  # a pinhole has no focus
+        (0.4, 400.0, 2.0),  # the world is another device's frame
+    ],
+)
+def test_a_focus_near_the_volume_is_not_questioned(distance, focus, aperture):
+    assert focus_doubt(focused(distance, focus, aperture)) is None
+
+
+@pytest.mark.parametrize(("focus", "unit"), [(0.45, "metres"), (450_000.0, "µm")])
+def test_a_focus_in_another_unit_is_questioned(focus, unit):
+    said = focus_doubt(focused(450.0, focus)) or ""
+    assert f"in {unit} it would be" in said

@@ -144,7 +144,8 @@ Aperture = Annotated[float, Interval(ge=0.0, lt=1.0), FINITE]
 TiltDegrees = Annotated[float, FINITE, Interval(gt=-60.0, lt=60.0)]
 #: Standard deviation of a picture's shift from frame to frame, px.
 #: Standard deviation of a blur, px.
-Blur = Annotated[float, FINITE, Interval(ge=0.0, le=1000.0)]
+#: Footprints are as wide, and what they cost goes with their area.
+Blur = Annotated[float, FINITE, Interval(ge=0.0, le=25.0)]
 Vibration = Annotated[float, FINITE, Interval(ge=0.0, le=10.0)]
 
 #: What 64 bits hold, in files and tables.

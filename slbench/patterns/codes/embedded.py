@@ -90,6 +90,10 @@ class EmbeddedPhaseShifting(Code):
         one, shift = divmod(k, self.shifts)
         return self.fringes()[one].profile(shift, size)
 
+    def periods(self, panel: Panel) -> float:
+        """Return the count."""
+        return self.count
+
     def check(self, panel: Panel, before: Sequence[Code]) -> None:
         """Raise InputError for fringes of fewer than three panel pixels, or a count below 2."""
         # The finest set has n + n / T fringes.

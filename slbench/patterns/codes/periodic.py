@@ -74,6 +74,10 @@ class PeriodicCode(Code):
         """Return periods since the panel's edge, (size,)."""
         return self.count * (np.arange(size) + 0.5) / size
 
+    def periods(self, panel: Panel) -> float:
+        """Return the count."""
+        return self.count
+
     def check(self, panel: Panel, before: Sequence[Code]) -> None:
         """Raise InputError for more periods than the panel has pixels for."""
         most = extent(panel, self.axis) / MIN_PIXELS_PER_PERIOD

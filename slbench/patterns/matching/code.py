@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,15 @@ from slbench.patterns.base import (
     FloatArray,
     Found,
     Observed,
+    Panel,
     Rule,
     Run,
     extent,
 )
 from slbench.patterns.matching.vectors import CodeVectors, Nuisance
+
+#: Share of the places that may show what another part of the panel shows, and what is another part.
+_MOST_REPEATED, _NEARBY = 0.95, 0.02
 
 
 class MatchedCode(Code):
@@ -90,11 +95,40 @@ class MatchedCode(Code):
 
     @classmethod
     def check_run(cls, run: Run, before: Sequence[Run]) -> None:
-        """Raise InputError for fewer frames than a gain, an offset and a place need."""
+        """Raise InputError for frames too few, or places that show the same and nothing coarser."""
         frames = sum(len(placed.frames) for placed in run.parts)
         if frames < 3:
             where = f"decode: parts[{run.parts[0].index}]"
             raise InputError(where, "at least 3 frames, to be decoded by matching", frames)
+        if before or run.parts[0].code.varies(0) == "uv":
+            return
+        share = _repeated(tuple(placed.code for placed in run.parts), run.panel)
+        if share > _MOST_REPEATED:
+            where = f"decode: parts[{run.parts[0].index}]"
+            expected = "places that differ, or a coarser code before"
+            got = f"{100 * share:.0f} % that show what others show"
+            raise InputError(where, expected, got)
+
+
+@lru_cache(maxsize=64)
+def _repeated(codes: tuple[Code, ...], panel: Panel) -> float:
+    """Return the share of places that another part of the panel shows too, to half a pixel."""
+    size = extent(panel, codes[0].axes[0])
+    profiles = [np.array([c.profile(k, size) for k in range(c.n_frames(panel))]) for c in codes]
+    vectors = vectors_of_parts(profiles, codes[0])
+    first, last = vectors.cells()
+    flat = vectors.basis().reshape(size, -1)
+    unlike = 1.0 - flat @ flat.T
+    place = np.arange(size)
+    apart = np.abs(place[:, np.newaxis] - place)
+    apart = np.minimum(apart, size - apart)  # a closed curve's ends are one place
+    other = (apart > max(4, _NEARBY * size)) & (first[:, np.newaxis] != first)
+    nearest = np.where(other, unlike, np.inf).min(axis=1)
+    beside = unlike[place, np.minimum(last + 1, size - 1)], unlike[place, np.maximum(first - 1, 0)]
+    # Half a pixel off a code vector changes by a quarter of what it does a pixel off; at edges by
+    # all or nothing.
+    step = np.where(vectors.edged(), 0.0, 0.25 * np.maximum(*beside))
+    return float(np.mean(nearest <= step + 1e-6))
 
 
 def _decode_plane(run: Run, observed: Observed) -> Decoded:

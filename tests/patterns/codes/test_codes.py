@@ -146,3 +146,39 @@ def test_a_longer_curve_is_less_noisy():
 def test_refused(make, word):
     with pytest.raises(InputError, match=word):
         PatternSequence((SIZE, 200), (make(),))
+
+
+@pytest.mark.parametrize("width", [640, 1023])
+@pytest.mark.parametrize(
+    "text",
+    ["hamiltonian4x8", "16@4+hamiltonian4x8", "1@3+hamiltonian4x8", "micro14/14/14"],
+)
+def test_codes_that_repeat_need_a_coarser_one(text, width):
+    with pytest.raises(InputError, match="places that differ, or a coarser code before"):
+        PatternSequence.parse(text, (width, 200)).runs()
+
+
+@pytest.mark.parametrize("width", [320, 640, 1023, 1920])
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("gray+hamiltonian4x8", "hamiltonian3", "micro", "xor2", "xor4", "speckle6"),
+        *("orders16@4+16@4", "optimised4", "optimised5x32"),
+    ],
+)
+def test_codes_that_do_not_repeat_need_none(text, width):
+    assert PatternSequence.parse(text, (width, 200)).runs()
+
+
+@pytest.mark.parametrize(
+    ("text", "finest"),
+    [
+        ("embedded64x3@3+1@3", "EmbeddedPhaseShifting"),
+        ("trapezoid8+1@3", "Trapezoidal"),
+        ("gray+64@4+two-plus-one16", "Fringes"),
+        ("gray+two-plus-one16+64@4", "Fringes"),
+    ],
+)
+def test_the_finest_is_decoded_last_whatever_was_shown_last(text, finest):
+    runs = PatternSequence.parse(text, (640, 200)).runs()
+    assert runs[-1].family.__name__ == finest
