@@ -33,7 +33,7 @@ SETS = (
     *("micro", "orders16@4+16@4", "hamiltonian4", "embedded64x3@3", "trapezoid1"),
     *("gray+two-plus-one16", "white+black+gray+two-step16", "gray+dithered16@4"),
     *("gray+modulated16@3", "gray+fourier64", "white+black+de-bruijn8px", "speckle10"),
-    "m-array16px",
+    "m-array10px",
 )
 
 

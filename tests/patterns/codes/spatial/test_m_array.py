@@ -146,3 +146,14 @@ def test_a_rendered_plane_is_decoded():
         assert noise < error.std() < 0.02
         assert abs(np.median(error)) < 0.03
         assert np.abs(error).max() < 0.15
+
+
+def test_rendered_steps_make_no_wrong_place():
+    scene = small("step-block", divisor=2)
+    truth = ground_truth(scene)
+    phase = scan(scene.with_patterns("m-array10px"), seed=1).phase
+    seen = truth.smooth() & phase.mask
+    assert seen.sum() > 0.35 * truth.smooth().sum()
+    for k, axis in enumerate("uv"):
+        # Dots that a step cuts, or the next surface's light: a place that is wrong is 10 px off.
+        assert np.abs(phase.coordinate[axis] - truth.panel[..., k])[seen].max() < 3.0
