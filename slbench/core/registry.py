@@ -88,6 +88,8 @@ class Registry(Generic[T]):
             return OWN
         if name in self._added:
             return self._added[name]
+        if name not in self:
+            self.get(name)  # says that there is none
         return _package(self._points()[name][0])
 
     def get(self, name: object, where: str | None = None) -> T:

@@ -130,18 +130,24 @@ class Images(MatchedCode):
         return cls(np.array(pictures), coded, pattern)
 
     def to_table(self, folder: Path | None) -> dict[str, Any]:
-        """Return the table; the pictures are written beside it, numbered."""
-        table = {"axes": self.coded, "files": self.files}
+        """Return the table; the pictures are written beside it, numbered.
+
+        Those of a second code go to a folder of their own, ``2/``.
+        """
         if folder is None:
-            return table
+            return {"axes": self.coded, "files": self.files}
         from slbench.core.io.images import write_png
 
+        files, k = self.files, 1
+        while any((folder / files).parent.glob("*.png")):
+            k += 1
+            files = f"{k}/{self.files}"
         digits = len(str(len(self.pictures) - 1))
         for k, picture in enumerate(self.pictures):
-            path = folder / self.files.replace("*", f"{k:0{digits}d}")
+            path = folder / files.replace("*", f"{k:0{digits}d}")
             path.parent.mkdir(parents=True, exist_ok=True)
             write_png(path, picture)
-        return table
+        return {"axes": self.coded, "files": files}
 
     @property
     def word(self) -> str:

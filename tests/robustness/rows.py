@@ -26,6 +26,7 @@ from slbench.core import resources
 from slbench.core.io import write_npz, write_ply
 from slbench.core.io.images import write_exr, write_png, write_tiff
 from slbench.core.registry import resolved
+from slbench.patterns import PatternSequence
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.transport import LightTransport
 
@@ -263,6 +264,18 @@ def views(folder: Path) -> None:
     (folder / "pos.csv").write_text("x_mm,y_mm,z_mm\n0,0,0\n0.5,0,0\n")
 
 
+def pattern_sets(folder: Path) -> None:
+    """Make a pattern set as a table, as pictures, and as an object of a module."""
+    words = "white+gray+1,8@4+micro+xor2+orders8@3+hamiltonian4+speckle6"
+    table = PatternSequence.parse(words, (64, 48)).to_dict()
+    (folder / "set.toml").write_text(tomli_w.dumps({"patterns": table}))
+    (folder / "pictures").mkdir()
+    for k, image in enumerate(PatternSequence.parse("1,4", (64, 48)).images()):
+        write_png(folder / "pictures" / f"{k}.png", np.rint(255 * image).astype(np.uint8))
+    lines = ["from slbench.patterns import Fringes", "SET = [Fringes(1, 3), Fringes(8, 4)]"]
+    (folder / "mine.py").write_text("\n".join(lines) + "\n")
+
+
 def stack(folder: Path) -> None:
     """Make a stack of three captures."""
     scanned(folder)
@@ -395,6 +408,7 @@ def truth(folder: Path) -> None:
 OPTIONS = [
     *("-1", "0", "1", "3", "1e308", "nan", "inf", "99999999999999999999", "2147483648", "", "x"),
     *("1,2", "1,2,4", "gray", "1,8@4", "a=1", "../../x", "/", ".", "\u202e", "x" * 300, "x" * 5000),
+    *("gone.toml", "gone.py:SET", "1,2 | gone.py:f", "./", "a:b", "os:getcwd", "1,2|"),
     *("-", "--", "{}", "'", "a\nb", "NaN,NaN", "0.5", "1,2,3@999999999", "65537", "1@3,99999@3"),
 ]
 #: Enough for each command to begin; the files are good ones or missing.
@@ -545,6 +559,17 @@ ROWS: list[Row] = [
         *("view", "v1.ply"),
         "register v0.ply v1.ply --positions pos.csv --out out",
         *(views, bytes_of),
+    ),
+    of_file("pattern set", "set.toml", "patterns show set.toml --json", pattern_sets, toml_of),
+    of_file(
+        *("picture of a pattern set", "pictures/3.png"),
+        "patterns show pictures --json",
+        *(pattern_sets, bytes_of),
+    ),
+    of_file(
+        *("module of a pattern set", "mine.py"),
+        "patterns show mine.py:SET --allow-modules --json",
+        *(pattern_sets, text_of, 0.5),
     ),
     of_file("hardware", "hw.toml", "design evaluate hw.toml table.csv --json", hardware, toml_of),
     of_file(
