@@ -32,8 +32,8 @@ SETS = (
     *("gray", "xor4", "gray+16@3", "gray+16@4", "gray+16@5"),
     *("micro", "orders16@4+16@4", "hamiltonian4", "embedded64x3@3", "trapezoid1"),
     *("gray+two-plus-one16", "white+black+gray+two-step16", "gray+dithered16@4"),
-    *("gray+modulated16@3", "gray+fourier64", "white+black+de-bruijn8px", "speckle10"),
-    "m-array10px",
+    *("gray+modulated16@3", "gray+fourier64", "gray+composite16", "white+black+de-bruijn8px"),
+    *("speckle10", "optimised4", "optimised6", "m-array10px"),
 )
 
 
