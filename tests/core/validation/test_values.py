@@ -22,6 +22,7 @@ from slbench.design.rig.hardware import load_hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import load_artefact
 from slbench.patterns import Fringes, NoiseModel, PatternSequence, pattern_codes
+from slbench.patterns.given import PatternsTable
 from slbench.patterns.images import Images
 from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
@@ -66,6 +67,7 @@ VALUES = [
     *CODES,
     SEQUENCE,
     SequenceTable((64, 48), ({"kind": "gray"},)),
+    PatternsTable(sequence="1,10,50"),
     Recipe("1"),
     MANIFEST,
     Focus({"camera": (100.0,), "projector": (200.0,)}),
