@@ -145,7 +145,9 @@ def described(specification: Specification) -> dict[str, Any]:
 def _check_parts(manifest: Manifest, where: str) -> None:
     """Refuse tables that do not hold what they should."""
     for prefix, patterns in manifest.captures.items():
-        validated(Patterns, patterns, f"{where}: captures.{prefix}")
+        stored = validated(Patterns, patterns, f"{where}: captures.{prefix}")
+        if stored.sequence is None and stored.parts is None:
+            raise InputError(f"{where}: captures.{prefix}", "a sequence or parts", "neither")
     for name, kind in FIXED.items():
         if manifest.columns.get(name) != kind:
             found = manifest.columns.get(name, "none")

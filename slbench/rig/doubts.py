@@ -197,7 +197,7 @@ def rig_doubts(rig: Rig) -> Iterator[tuple[str, str]]:
             yield f"pitch_um of the {name}", doubt
         if doubt := wavelength_doubt(device):
             yield f"wavelength_nm of the {name}", doubt
-        if doubt := focus_doubt(device):
+        if (doubt := focus_doubt(device)) and not baseline_doubt(rig):
             yield f"focus_distance_mm of the {name}", doubt
         if doubt := blur_doubt(device):
             yield f"blur_px of the {name}", doubt

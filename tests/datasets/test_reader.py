@@ -244,7 +244,7 @@ class TestCapture:
 
     @pytest.mark.parametrize("patterns", [5, None, ["1,8"]])
     def test_patterns_of_another_kind(self, data, patterns):
-        assert "patterns: expected text" in refusal(lambda: data[0].capture(patterns))
+        assert "patterns: expected a PatternSequence" in refusal(lambda: data[0].capture(patterns))
 
     @pytest.mark.parametrize("seed", [-1, 1.5, True, "1"])
     def test_bad_seeds(self, data, seed):
