@@ -26,7 +26,7 @@ _UNIFORM = 0.2
 _SHIFT, _PEAKED = 0.15, 0.5
 #: Share of orders beyond the limit; noise that makes 1.6 % of them wrong has 0.13 beyond 0.3 turn.
 _DROPPED = 0.3
-#: Share of places beyond the panel; right ones lie there within three deviations of its ends.
+#: Share of places beyond the panel that a right Gray code does not have.
 _BEYOND = 0.15
 #: Half a coarse cell, turns, beyond which it spreads the residual itself.
 _LARGE_CELL = 0.2
@@ -64,21 +64,22 @@ def manifest_doubts(capture: Capture, phase: PhaseMap) -> list[str]:
         if "bit_contrast" in evidence:
             found.append(_bit_doubt(capture, placed, evidence["bit_contrast"]))
     doubts = [doubt for doubt in found if doubt]
-    if not doubts and (beyond := _end_doubt(capture, phase.dropped)):
+    bits = any("bit_contrast" in evidence for evidence in phase.evidence.values())
+    if bits and not doubts and (beyond := _end_doubt(capture, phase.dropped)):
         doubts.append(beyond)
     return doubts
 
 
 def _end_doubt(capture: Capture, dropped: NDArray[np.uint8]) -> str | None:
-    """Question codes whose places are beyond the panel."""
+    """Question a Gray code whose places are beyond the panel."""
     used = np.count_nonzero(np.isin(dropped, (Rule.KEPT, Rule.ORDER, Rule.END)))
     beyond = np.count_nonzero(dropped == Rule.END)
     if used < _LEAST or beyond < _BEYOND * used:
         return None
     width, height = capture.sequence.panel
     return (
-        f"{100 * beyond / used:.0f} % of the places lie beyond the panel of {width} x {height} px "
-        "or at its ends: bits in another order, binary for reflected, or another panel?"
+        f"{100 * beyond / used:.0f} % of the places lie beyond the panel of {width} x {height} px: "
+        "bits in another order, binary for reflected, or another panel?"
     )
 
 

@@ -129,6 +129,8 @@ class Code(Value, ABC):
     refines: ClassVar[bool] = False
     """Whether the family is decoded after all others of its axes, as one run, wherever it stands:
     fringes, which a coarser code tells apart."""
+    spatial: ClassVar[bool] = False
+    """Whether a pixel is decoded by its neighbours in the picture, so that none can be left out."""
 
     # What was shown.
 

@@ -28,6 +28,8 @@ Crosstalk = tuple[tuple[float, ...], ...]
 
 #: Largest condition of a matrix: channels that are nearly the same cannot be told apart.
 _CONDITION = 100.0
+#: Largest share: rows are normalised by a white picture, or nearly.
+_LARGEST = 3.0
 #: Step of the differences, standard deviations of a channel.
 _STEP = 0.05
 #: A coordinate that a step moves by more than so many steps' deviations has changed its order.
@@ -41,6 +43,9 @@ def check_crosstalk(matrix: Crosstalk, n_frames: int) -> None:
         sizes = " + ".join(str(len(row)) for row in matrix) or "none"
         expected = "a square matrix, one row a camera channel"
         raise InputError(where, expected, f"{count} rows of {sizes} numbers")
+    largest = max(map(max, matrix))
+    if largest > _LARGEST:
+        raise InputError(where, "shares of about one (0.84, and not 84 %)", largest)
     condition = np.linalg.cond(np.array(matrix))
     if not condition < _CONDITION:
         expected = f"channels that can be told apart (condition below {_CONDITION:g})"

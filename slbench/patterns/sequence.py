@@ -102,8 +102,9 @@ class PatternSequence(Value):
                 part.check(self.panel, self.parts[:i])
         if self.crosstalk is not None:
             check_crosstalk(self.crosstalk, self.n_frames)
+            carriers = self._carriers()
             for first in range(0, self.n_frames, self.channels):
-                own = self._carriers()[first : first + self.channels]
+                own = carriers[first : first + self.channels]
                 if len(set(own)) > 1:
                     expected = "channels of a picture that vary along one axis"
                     got = f"frames {first} to {first + self.channels - 1} along {' and '.join(own)}"
@@ -222,6 +223,11 @@ class PatternSequence(Value):
         if not sets:
             return None
         return max(sets, key=lambda p: (p.code.fringe_count(self.panel) or 0, p.index))
+
+    @property
+    def spatial(self) -> bool:
+        """Whether pixels are decoded by their neighbours in the picture."""
+        return self.unwrap == "spatial" or any(part.spatial for part in self.parts)
 
     @property
     def channels(self) -> int:

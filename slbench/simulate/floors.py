@@ -74,7 +74,7 @@ def noise_free_coordinates(
     scale = np.float32(200.0 / max(float(np.percentile(middle.white(), 99.0)), 1e-30))
     height, width = middle.shape
     rows = max(1, _BAND_BYTES // (4 * width * sequence.n_frames))
-    if sequence.unwrap == "spatial" or decoder is not None:  # it may look at neighbours
+    if sequence.spatial or decoder is not None:  # which may look at neighbours
         rows = height
     bands: list[dict[Axis, Array]] = []
     for first in range(0, height, rows):

@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 from slbench.capture.capture import Capture
 from slbench.cloud.decoded import decode_capture
 from slbench.core.errors import InputWarning
-from slbench.patterns import Flat, Fringes, GrayCode, NoiseModel, PatternSequence
+from slbench.patterns import Flat, Fringes, GrayCode, NoiseModel, PatternSequence, Rule
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
 from slbench.rig.doubts import baseline_doubt
 
@@ -331,3 +331,12 @@ def test_bits_that_lie_beyond_the_panel_are_questioned(wrong):
         frames = frames.reshape(-1, 2, *frames.shape[1:])[::-1].reshape(frames.shape).copy()
     found = decoded(frames, stated)
     assert any("beyond the panel" in one for one in found.warnings)
+
+
+def test_ends_that_noise_blurs_are_not_questioned():
+    """One set of one fringe: a fifth of the panel is within three deviations of its ends."""
+    sequence = PatternSequence((96, 40), (Fringes(1, 3),))
+    found = decoded(one_to_one(sequence, 22.0), sequence, noise=NoiseModel(read_dn=22.0))
+    dropped = found.phase.dropped
+    assert np.mean(dropped == Rule.END) > 0.15 * np.mean(np.isin(dropped, (Rule.END, Rule.KEPT)))
+    assert not any("beyond the panel" in one for one in found.warnings)

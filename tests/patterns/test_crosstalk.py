@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 from photographed import photograph
+from scipy.interpolate import CubicSpline
 
 from slbench.capture.capture import Capture
 from slbench.capture.shown import write_pictures
@@ -13,6 +14,7 @@ from slbench.cloud.decoded import decode_capture
 from slbench.core.errors import InputError, InputWarning
 from slbench.patterns import Flat, Fringes, GrayCode, PatternSequence, decode
 from slbench.patterns.crosstalk import mixed
+from slbench.patterns.matching.bound import cramer_rao
 from slbench.patterns.noise import NoiseModel
 
 #: Measured of a consumer projector and camera in the literature's size: 3 to 15 % beside.
@@ -99,6 +101,21 @@ def test_deviations_are_those_of_repeats(text, own):
         assert np.mean(predicted) != pytest.approx(alone.sigma["u"].mean(), rel=0.08)
 
 
+@pytest.mark.parametrize("text", ["1,16@3", "white+white+white+1,8@3", "speckle12"])
+def test_the_bound_is_that_of_mixed_channels(text):
+    """The inverse of the whole Fisher matrix of place, gain and offset, row by row."""
+    sequence, b, mean = sequence_of(text), 40.0, 90.0
+    found = cramer_rao(sequence, modulation=b, mean=mean, noise=NOISE)
+    profiles = np.array([f.part.profile(f.index, PANEL[0]) for f in sequence.frames()])
+    shown = mixed(profiles, MATRIX)
+    slope = CubicSpline(np.arange(PANEL[0]), shown.T)(np.arange(PANEL[0]), 1).T
+    for x in (33, 200, 377):
+        weight = 1.0 / NOISE.variance(mean + 2.0 * b * (shown[:, x] - 0.5))
+        design = np.stack([2.0 * b * slope[:, x], shown[:, x], np.ones(len(shown))])
+        covariance = np.linalg.inv(design * weight @ design.T)
+        assert found[x] == pytest.approx(np.sqrt(covariance[0, 0]), rel=1e-6)
+
+
 def test_without_its_matrix_a_capture_is_wrong_and_said_to_be():
     u = places()
     sequence = PatternSequence.parse("1,8@6", PANEL)
@@ -143,6 +160,7 @@ def test_saturation_is_that_of_the_camera_s_channels():
         (((1.0, 0.0), (0.0, 1e-4)), "1,16@3", "told apart"),
         (((1.0, -0.1), (0.1, 1.0)), "1,16@3", "crosstalk"),
         (((1.0, float("nan")), (0.1, 1.0)), "1,16@3", "crosstalk"),
+        (((84.0, 12.0), (10.0, 78.0)), "1,16@3", "not 84 %"),
         (MATRIX, "1,16@4", "multiple of 3"),
     ],
 )

@@ -192,6 +192,17 @@ def test_a_result_that_more_samples_would_change_is_questioned_in_one_line():
     assert quiet == []
 
 
+def test_codes_of_neighbours_are_decoded_whole(monkeypatch):
+    """Along v the lines of a Fourier transform are columns, which bands would cut."""
+    light = transport_of("plane", axes="v")
+    sequence = small("plane", "gray+fourier24", axes="v").sequence
+    projector = small("plane").rig.projector
+    whole = noise_free_coordinates(light, sequence, projector)["v"]
+    assert np.isfinite(whole).any()
+    monkeypatch.setattr(floors, "_BAND_BYTES", 1)
+    np.testing.assert_array_equal(noise_free_coordinates(light, sequence, projector)["v"], whole)
+
+
 def test_neighbours_resolve_fringes_of_the_whole_picture_and_not_of_its_bands(monkeypatch):
     light = transport_of("step-block")
     projector = small("step-block").rig.projector

@@ -199,7 +199,7 @@ def _bound_px(given: PatternSet, shots: Capture, phase: PhaseMap, flat: NDArray[
     if given.decoder is None:
         light = phase.modulation.ravel()[flat], phase.mean.ravel()[flat]
     else:  # the bound is the frames', whatever a decoder says of them
-        shown = shots.apart().frames.reshape(sequence.n_frames, -1)[:, flat]
+        shown = shots.frames.reshape(sequence.n_frames, -1)[:, flat]
         light = light_of(sequence, shown, axis, place)
     bound = cramer_rao(
         sequence,

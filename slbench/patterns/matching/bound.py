@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.patterns.base import Axis, FloatArray
+from slbench.patterns.crosstalk import mixed
 from slbench.patterns.matching.vectors import EDGE, CodeVectors, Nuisance, blurred
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
@@ -29,7 +30,9 @@ def sequence_vectors(
     spread: Spread | None = None,
     circle_px: float = 0.0,
 ) -> CodeVectors:
-    """Return what the places along an axis show in all frames that vary along it, or not at all.
+    """Return what the camera sees of the places along an axis: frames that vary along it, or not.
+
+    Channels of colour pictures are mixed by their cross-talk.
 
     Parameters
     ----------
@@ -47,7 +50,8 @@ def sequence_vectors(
     InputError
         For an axis along which nothing varies.
     """
-    frames = [frame for frame in sequence.frames() if frame.along in (axis, None)]
+    every = sequence.frames()
+    frames = [every[k] for k in _frames_of(sequence, axis)]
     if not any(frame.along == axis for frame in frames):
         raise InputError(
             "matching: axis", f"an axis that frames of {sequence.name} vary along", axis
@@ -56,8 +60,17 @@ def sequence_vectors(
     values = np.array([frame.part.profile(frame.index, size) for frame in frames])
     if spread is not None:
         values = blurred(values, spread, circle_px)
+    if sequence.crosstalk is not None:
+        values = mixed(values, sequence.crosstalk)
     _, parts = np.unique([frame.part_index for frame in frames], return_inverse=True)
     return CodeVectors(values, parts.astype(np.int64), nuisance or Nuisance())
+
+
+def _frames_of(sequence: PatternSequence, axis: Axis) -> list[int]:
+    """Return the frames that tell of an axis: those that vary along it, and flat ones."""
+    if sequence.crosstalk is not None:  # whole pictures
+        return sequence.frames_along(axis).tolist()
+    return [k for k, frame in enumerate(sequence.frames()) if frame.along in (axis, None)]
 
 
 def cramer_rao(
@@ -167,7 +180,7 @@ def light_of(
         For an axis along which nothing varies.
     """
     vectors = sequence_vectors(sequence, axis)
-    own = [k for k, frame in enumerate(sequence.frames()) if frame.along in (axis, None)]
+    own = _frames_of(sequence, axis)
     shown = _at(vectors, np.asarray(coordinate, dtype=float))[0] - 0.5
     weight = np.mean(np.diff(vectors.values, axis=1) ** 2, axis=1) ** 2 * _smooth(vectors)
     weight = weight / max(float(weight.sum()), 1e-30)

@@ -40,6 +40,7 @@ from slbench.patterns.base import (
     extent,
 )
 from slbench.patterns.codes.periodic import Estimate, PeriodicCode, own_frames
+from slbench.patterns.codes.spatial.fourier import local_mean
 
 #: The coarsest carrier, in the finest: what lies below its band is the mean's.
 _FIRST = 0.4
@@ -72,6 +73,7 @@ class CompositeFringes(PeriodicCode):
 
     kind: ClassVar[str] = "composite"
     words: ClassVar[tuple[str, ...]] = ("composite16",)
+    spatial: ClassVar[bool] = True
 
     shifts: Annotated[int, Interval(ge=3, le=8)] = 3
     carriers: Annotated[int, Interval(ge=8, le=10000)] = 80
@@ -138,12 +140,12 @@ class CompositeFringes(PeriodicCode):
             (scale * np.sin(phi - step)) ** 2 for scale, step in zip(scales, delta, strict=True)
         )
         border = int(np.ceil(1.0 / half)) if half else lines.shape[1]
-        local = _local_mean(noise, border)
+        local = local_mean(noise, border)
         with np.errstate(divide="ignore", invalid="ignore"):
             sigma = np.sqrt(2.75 * half * local * weights) * 2.0 / self.shifts / modulation
         sigma[:, :border] = np.nan
         sigma[:, lines.shape[1] - border :] = np.nan
-        found = (phi / (2.0 * pi), sigma / (2.0 * pi), modulation, _local_mean(lines, border))
+        found = (phi / (2.0 * pi), sigma / (2.0 * pi), modulation, local_mean(lines, border))
         return Estimate(*((one.T if turned else one).ravel() for one in found))
 
 
@@ -172,11 +174,3 @@ def _amplitude(spectrum: NDArray[np.complex128], carrier: float, half: float) ->
     window = np.where(off < 1.0, np.cos(0.5 * pi * np.maximum(2.0 * off - 1.0, 0.0)) ** 2, 0.0)
     amplitude: FloatArray = 2.0 * np.abs(np.fft.ifft(spectrum * window, axis=1))
     return amplitude
-
-
-def _local_mean(lines: FloatArray, width: int) -> FloatArray:
-    """Return the mean over some pixels along the lines."""
-    from scipy.ndimage import uniform_filter1d
-
-    mean: FloatArray = uniform_filter1d(lines, max(width, 1), axis=1)
-    return mean

@@ -94,6 +94,7 @@ class DeBruijn(Code):
 
     kind: ClassVar[str] = "de-bruijn"
     words: ClassVar[tuple[str, ...]] = ("de-bruijn8px",)
+    spatial: ClassVar[bool] = True
 
     stripe_px: FringePeriod = 8.0
     axis: Axis = "u"

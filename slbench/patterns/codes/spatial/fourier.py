@@ -54,6 +54,7 @@ class FourierTransform(PeriodicCode):
 
     kind: ClassVar[str] = "fourier"
     words: ClassVar[tuple[str, ...]] = ("fourier64",)
+    spatial: ClassVar[bool] = True
 
     def n_frames(self, panel: Panel) -> int:
         """Return 1, whatever the panel."""
@@ -71,9 +72,10 @@ class FourierTransform(PeriodicCode):
             lines, noise = lines.T, noise.T
         analytic, carrier = _analytic(np.nan_to_num(lines))
         modulation = 2.0 * np.abs(analytic)
-        mean = _local_mean(np.nan_to_num(lines), carrier)
+        fringe = round(1.0 / carrier) if carrier else lines.shape[1]
+        mean = local_mean(np.nan_to_num(lines), fringe)
         with np.errstate(divide="ignore", invalid="ignore"):
-            sigma = np.sqrt(1.5 * carrier * _local_mean(np.nan_to_num(noise), carrier)) / modulation
+            sigma = np.sqrt(1.5 * carrier * local_mean(np.nan_to_num(noise), fringe)) / modulation
         border = int(np.ceil(_BORDER / carrier)) if carrier else lines.shape[1]
         sigma[:, :border] = np.nan
         sigma[:, lines.shape[1] - border :] = np.nan
@@ -104,10 +106,9 @@ def _analytic(
     return np.fft.ifft(spectrum * window, axis=1), carrier
 
 
-def _local_mean(lines: FloatArray, carrier: float) -> FloatArray:
-    """Return the mean over about a fringe along the lines."""
+def local_mean(lines: FloatArray, width: int) -> FloatArray:
+    """Return the mean over some pixels along the lines."""
     from scipy.ndimage import uniform_filter1d
 
-    width = max(round(1.0 / carrier), 1) if carrier else lines.shape[1]
-    mean: FloatArray = uniform_filter1d(lines, width, axis=1)
+    mean: FloatArray = uniform_filter1d(lines, max(width, 1), axis=1)
     return mean

@@ -104,6 +104,7 @@ class MArray(Code):
 
     kind: ClassVar[str] = "m-array"
     words: ClassVar[tuple[str, ...]] = ("m-array16px", "m-array5x12px")
+    spatial: ClassVar[bool] = True
 
     pitch_px: FringePeriod = 16.0
     window: Annotated[int, Interval(ge=3, le=5)] = 4
