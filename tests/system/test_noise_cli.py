@@ -74,3 +74,12 @@ def test_bad_input_is_refused_in_one_line(tmp_path):
     file.write_text("x")
     check_refused(run_cli("design", "noise", "ch8-stack", "--out", file), "--out", "a file")
     check_refused(run_cli("design", "noise", "ch8-stack", "--max-fringes", 0), "--max-fringes", "0")
+
+
+def test_a_scene_without_fringes_is_refused(tmp_path):
+    scene, out = tmp_path / "dark.toml", tmp_path / "noise"
+    scene.write_text('extends = "plane"\n[exposure]\ntime_ms = 1e-9\n')
+    options = ("--preview", "--repeats", 2, "--heights", 1, "--out", out)
+    done = run_cli("design", "noise", scene, *options)
+    check_refused(done, "told from noise", "too dark")
+    assert not out.exists()

@@ -168,7 +168,7 @@ def noise_of_scene(
     Raises
     ------
     InputError
-        If the plate is not seen and lit at a height, or saturates.
+        If the plate is not seen and lit at a height, saturates, or shows no fringes at all.
 
     Warns
     -----
@@ -238,6 +238,9 @@ def noise_of_scene(
             "(render.samples)"
         )
         warn_user(f"scene {scene.name}", doubt)
+    if not np.isfinite(sigma).any():
+        told = "fringes that are told from noise, at some height"
+        raise InputError("plate", told, "none: too dark, or washed out")
     counts = np.array(fringes, np.int64)
     return PhaseNoise(counts, sigma, heights, shifts, floor, sampling)
 
