@@ -17,6 +17,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.target.detect import Dots, detect_dots
@@ -40,6 +41,9 @@ Remapping = Literal["ring", "bilinear"]
 #: Inner and outer radius of the ring about a dot, in radii: from beyond its blurred rim to
 #: before the neighbours' at 3 radii (a pitch of two diameters).
 _RING = (1.3, 2.5)
+#: Farthest from where it is that a dot may be seen.  Light, blur and noise move one by a third of
+#: a pixel in the shipped experiment (results/calibration); a wrong number by a pitch, many pixels.
+_FARTHEST_PX = 1.0
 #: Stage positions of the thesis: heights through the volume, lateral shifts, mm.
 Z_STEPS, Y_STEPS, Y_STEP_MM = 11, 6, 0.020
 
@@ -144,7 +148,8 @@ def run_experiment(
     Raises
     ------
     InputError
-        If the first object has no dots, no position shows any, or nothing can be captured.
+        If the first object has no dots, no position shows any, nothing can be captured, or dots
+        are seen more than a pixel from where they are.
     """
     grid = scene.objects[0]
     dots = grid.artefact.targets
@@ -186,6 +191,7 @@ def run_experiment(
         pixels.append(np.column_stack((found.centres, u_p, v_p))[good])
         nominal_world = nominal_pose.to_world(dots)
         true = camera.project(moved.pose.to_world(dots))
+        _check_detections(found.centres, which, true, f"scene {scene.name}: stage position {k + 1}")
         world.append(nominal_world[which[good]])
         detection.append(found.centres[good] - true[which[good]])
         position.append(np.full(int(good.sum()), k))
@@ -199,6 +205,35 @@ def run_experiment(
         np.concatenate(detection),
         sampling,
     )
+
+
+def _check_detections(centres: Array, which: NDArray[np.intp], true: Array, where: str) -> None:
+    """Refuse dots that are not where they truly are: points with wrong numbers fit no model.
+
+    Parameters
+    ----------
+    centres : (n, 2) float
+        Detected, px.
+    which : (n,) int
+        Which of the grid's dots each is, -1 for none.
+    true : (k, 2) float
+        Where the camera truly sees the grid's dots, px.
+    where : str
+        For the message.
+    """
+    seen = which >= 0
+    own = np.linalg.norm(centres[seen] - true[which[seen]], axis=1)
+    off = np.where(np.isnan(own), np.inf, own)  # beyond the fold of the lens's distortion
+    if np.all(off <= _FARTHEST_PX):
+        return
+    nearest, _ = KDTree(true[np.all(np.isfinite(true), axis=1)]).query(centres[seen])
+    if np.any(nearest < off - _FARTHEST_PX):
+        cause = "numbered wrongly: is the plate or the stage half a cell off?"
+    else:
+        cause = "blurred, or of too few samples a pixel?"
+    wrong = f"{np.count_nonzero(off > _FARTHEST_PX)} of {len(off)} up to {off.max():.3g} px off"
+    expected = f"dots seen within {_FARTHEST_PX:g} px of where they are"
+    raise InputError(where, expected, f"{wrong} ({cause})")
 
 
 def sampling_doubt(experiment: Experiment, samples: int) -> str | None:
@@ -219,8 +254,6 @@ def _sampling_px(scene: Scene, seed: int) -> float:
 
     That is one draw of the Monte Carlo error of all samples, as of any transport's half.
     """
-    from scipy.spatial import cKDTree
-
     lit = replace(scene, sequence=replace(scene.sequence, parts=(Flat(1.0),)))
     transports = traced(lit, seed=seed)
     half = halves(transports)
@@ -230,7 +263,7 @@ def _sampling_px(scene: Scene, seed: int) -> float:
         detect_dots(capture_stack(lit, shown, seed=seed, noise=False).fuse("lit").capture.frames[0])
         for shown in (transports, half)
     )
-    distance, _ = cKDTree(other.centres).query(whole.centres)
+    distance, _ = KDTree(other.centres).query(whole.centres)
     same = distance < whole.radii
     return float(np.sqrt(np.mean(distance[same] ** 2))) if same.any() else float("nan")
 
@@ -276,16 +309,29 @@ def _numbered(centres: Array, dots: Array, expected: Array) -> NDArray[np.intp]:
     expected : (k, 2) float
         Where the nominal pose has them in the image; right to half a cell.
     """
-    columns = len(np.unique(np.round(dots[:, 0], 9)))
-    rows = len(dots) // columns
-    middle = centres.mean(axis=0)
-    anchor = int(np.argmin(np.sum((expected - middle) ** 2, axis=1)))
+    nodes = _nodes(dots)
+    dot_at = {node: k for k, node in enumerate(map(tuple, nodes.tolist()))}
+    anchor = int(np.nanargmin(np.sum((expected - centres.mean(axis=0)) ** 2, axis=1)))
     index = index_grid(
         centres,
         near=expected[anchor],
-        anchor=(anchor % columns, anchor // columns),
-        column_direction=expected[1] - expected[0],
+        anchor=tuple(nodes[anchor].tolist()),
+        column_direction=expected[dot_at[1, 0]] - expected[dot_at[0, 0]],
     )
-    column, row = index.indices.T
-    known = index.inlier & (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
-    return np.where(known, row * columns + column, -1).astype(np.intp)
+    which = [dot_at.get((column, row), -1) for column, row in index.indices.tolist()]
+    return np.where(index.inlier, which, -1).astype(np.intp)
+
+
+def _nodes(dots: Array) -> NDArray[np.int64]:
+    """Return column and row, (k, 2), of a grid's dots on the lattice of their shortest steps.
+
+    Where every other place of the rows is empty, the steps are those to the next row's dots:
+    right and down, left and down.
+    """
+    # A tenth of a nanometre apart is rounding.
+    column, row = (
+        np.unique(np.round(along, 7), return_inverse=True)[1] for along in (dots[:, 0], -dots[:, 1])
+    )
+    if 2 * len(dots) > (column.max() + 1) * (row.max() + 1):
+        return np.column_stack((column, row))
+    return np.column_stack(((row + column) // 2, (row - column) // 2))

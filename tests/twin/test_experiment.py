@@ -4,11 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenes_small import scene_of
 
+from slbench import objects
 from slbench.calibration.selection import select_models
 from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
+from slbench.rig import Pose
 from slbench.scene.file import load_scene
+from slbench.scene.materials import PRESETS
+from slbench.scene.model import SceneObject
 from slbench.twin import experiment
 from slbench.twin.experiment import run_experiment, sampling_doubt, stage_positions
 
@@ -67,6 +72,32 @@ def test_the_sampling_part_of_dots_falls_with_samples(grid):
     whole = {n: np.sqrt(np.mean(np.sum(one.detection_px**2, axis=1))) for n, one in found.items()}
     assert np.sqrt(whole[8] ** 2 - whole[128] ** 2) == pytest.approx(few, rel=0.25)
     assert "8 would change it" in sampling_doubt(found[8], 8)
+
+
+def test_dots_of_a_staggered_grid_are_numbered():
+    artefact = objects.load_artefact("circle-grid")
+    dark, white = PRESETS["dark-stage"], PRESETS["matt-white-spray"]
+    plate = SceneObject(artefact, Pose(), white, {"dots": dark, "plate": white})
+    found = run_experiment(scene_of([plate], divisor=1), np.zeros((1, 3)), seed=4)
+    assert len(found.points) == len(artefact.targets) == 44
+    # By another than the nearest a dot would be 27 px off, at least.
+    assert np.linalg.norm(found.detection_px, axis=1).max() < 0.3
+    assert len(np.unique(found.points.world, axis=0)) == 44
+
+
+def test_dots_with_wrong_numbers_are_refused(grid):
+    # The stage is a pitch off, 124 um: the next dot is where this one is expected.
+    words = (
+        r"stage position 1: expected dots seen within 1 px .*, got \d+ of \d+ .* half a cell off"
+    )
+    with pytest.raises(InputError, match=words):
+        run_experiment(grid, np.zeros((1, 3)), stage_sigma_mm=0.1, seed=2)
+
+
+def test_dots_that_are_badly_seen_are_refused(grid, monkeypatch):
+    monkeypatch.setattr(experiment, "_FARTHEST_PX", 0.01)
+    with pytest.raises(InputError, match=r"within 0\.01 px .* too few samples"):
+        run_experiment(grid, np.zeros((1, 3)), seed=9)
 
 
 def test_a_model_is_found_that_measures_below_a_micrometre(found):
