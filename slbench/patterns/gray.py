@@ -212,7 +212,7 @@ class GrayCode(Code):
             reflected,
             threshold,
             np.array([width, code.offset_px, size, -0.5 - code.offset_px]),
-            np.array([noise.constant_variance, noise.gain_dn_per_e, noise.offset_dn]),
+            noise.coefficients,
             np.array([observed.min_modulation**2, observed.min_snr**2]),
             spare,
         )

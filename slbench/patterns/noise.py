@@ -54,3 +54,8 @@ class NoiseModel(Value):
     def constant_variance(self) -> float:
         """Variance at the black level, DN^2."""
         return self.read_dn**2 + self.step_dn**2 / 12.0
+
+    @property
+    def coefficients(self) -> FloatArray:
+        """What compiled loops take: constant variance, gain, offset, (3,)."""
+        return np.array([self.constant_variance, self.gain_dn_per_e, self.offset_dn])

@@ -27,7 +27,7 @@ import numpy as np
 from slbench.core.errors import InputError
 from slbench.core.validation.types import FringePeriod, Shifts
 from slbench.patterns.base import Axis, Code, FloatArray, Observed, Panel, Placed, Variation, extent
-from slbench.patterns.codes.periodic import Estimate, PeriodicCode, own_frames
+from slbench.patterns.codes.periodic import Estimate, PeriodicCode
 
 
 @dataclass(frozen=True)
@@ -103,20 +103,7 @@ class ModulatedPhaseShifting(PeriodicCode):
 
     def estimate(self, placed: Placed, observed: Observed) -> Estimate:
         """Return the phase of the fringes, turns, and its standard deviation."""
-        frames, variance = own_frames(placed, observed)
-        shape = (self.shifts, self.carrier_shifts, -1)
-        frames, variance = frames.reshape(shape), variance.reshape(shape)
-        theta = 2.0 * pi * np.arange(self.carrier_shifts) / self.carrier_shifts
-        delta = 2.0 * pi * np.arange(self.shifts) / self.shifts
-        psi = np.angle(np.tensordot(np.exp(1j * theta), frames.sum(axis=0), axes=1))
-        taken = np.cos(psi - theta[:, np.newaxis])  # (M, P)
-        envelope = 2.0 / self.carrier_shifts * (frames * taken).sum(axis=1)  # (N, P)
-        phasor = 2.0 / self.shifts * np.tensordot(np.exp(1j * delta), envelope, axes=1)
-        phi, modulation = np.angle(phasor), np.abs(phasor)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            weights = np.sin(phi - delta[:, np.newaxis])[:, np.newaxis] * taken
-            scale = 4.0 / (self.shifts * self.carrier_shifts) / modulation
-            sigma = scale * np.sqrt((variance * weights**2).sum(axis=(0, 1)))
-        return Estimate(
-            phi / (2.0 * pi), sigma / (2.0 * pi), 2.0 * modulation, frames.mean(axis=(0, 1))
-        )
+        from slbench.patterns.kernels.periodic import in_carrier
+
+        shifts = (self.shifts, self.carrier_shifts)
+        return Estimate(*in_carrier(observed.pixels, placed.frames.start, shifts, observed.noise))

@@ -4,12 +4,17 @@ Y. Wang and S. Zhang, "Novel phase-coding method for absolute phase retrieval", 
 37(11), 2012.  A set of shifted frames whose phase is one step a fringe: k fringes are told apart
 by k levels of a phase, where a Gray code needs log2(k) frames and a level of brightness cannot be
 told from the surface's.
+
+The phase of the frames says on which step a pixel is: of steps with one contrast the nearest in
+phase is the most likely.  The first and the last are neighbours in phase; a pixel is on one of them
+where it is less likely on the other by three standard deviations, as in matching
+(:mod:`slbench.patterns.matching.match`), which decodes several stairs together.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
@@ -17,8 +22,20 @@ import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.core.validation.types import FringeCount, Shifts
-from slbench.patterns.base import Axis, Code, FloatArray, Panel, extent
+from slbench.patterns.base import (
+    Axis,
+    Code,
+    Decoded,
+    FloatArray,
+    Found,
+    Observed,
+    Panel,
+    Rule,
+    Run,
+    extent,
+)
 from slbench.patterns.matching import MatchedCode
+from slbench.patterns.matching.match import AMBIGUOUS
 
 
 @dataclass(frozen=True)
@@ -47,9 +64,51 @@ class PhaseCodedOrders(MatchedCode):
 
     def profile(self, k: int, size: int) -> FloatArray:
         """Return frame `k` on a panel of `size` pixels, shape (size,), in [0, 1]."""
-        step = np.floor((np.arange(size) + 0.5) * self.count / size)
+        step = self._steps(size)
         phase = 2.0 * np.pi * (step + 0.5) / self.count
         return 0.5 + 0.5 * np.cos(phase - 2.0 * np.pi * k / self.shifts)
+
+    def _steps(self, size: int) -> FloatArray:
+        """Return the number of the step at every panel pixel."""
+        return np.floor((np.arange(size) + 0.5) * self.count / size)
+
+    @classmethod
+    def decode_run(cls, run: Run, observed: Observed, found: Mapping[Axis, Found]) -> Decoded:
+        """Decode a stair alone by its phase, several or one after a coarser code by matching."""
+        (axis,) = run.axes
+        code = run.parts[0].code
+        if len(run.parts) > 1 or axis in found or not isinstance(code, PhaseCodedOrders):
+            return super().decode_run(run, observed, found)
+        from slbench.patterns.kernels.periodic import in_quadrature
+
+        rows = np.array(run.parts[0].frames, np.int64)
+        shift = 2.0 * np.pi * np.arange(len(rows)) / len(rows)
+        weights = np.stack([2.0 * np.sin(shift), 2.0 * np.cos(shift), np.ones(len(rows))], axis=1)
+        turns, sigma, modulation, mean = in_quadrature(
+            observed.pixels, rows, weights / len(rows), observed.noise
+        )
+        steps = code._steps(extent(observed.panel, axis))
+        first, stop = np.searchsorted(steps, [np.arange(code.count), np.arange(code.count) + 1])
+        with np.errstate(invalid="ignore"):
+            own = np.nan_to_num(turns * code.count).astype(np.int64).clip(0, code.count - 1)
+            off = turns - (own + 0.5) / code.count
+            across = np.minimum(turns, 1.0 - turns) + 0.5 / code.count  # to the other end's step
+            sure = across**2 - off**2 > AMBIGUOUS * sigma**2
+            noise = np.sqrt(observed.noise.variance(mean.astype(np.float64)))
+            lit = modulation >= np.maximum(observed.min_modulation, observed.min_snr * noise)
+        dropped = None
+        if observed.keep_evidence:
+            dropped = np.select([~lit, ~sure], [Rule.MODULATION, Rule.OTHER]).astype(np.uint8)
+        return {
+            axis: Found(
+                coordinate=(0.5 * (first + stop - 1))[own],
+                sigma=((stop - first) / np.sqrt(12.0))[own],
+                modulation=modulation,
+                mean=mean,
+                mask=lit & sure,
+                dropped=dropped,
+            )
+        }
 
     def check(self, panel: Panel, before: Sequence[Code]) -> None:
         """Raise InputError for one step, or more than the panel has pixels for."""

@@ -6,14 +6,17 @@ import re
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.threads import in_bands
 from slbench.core.validation.types import FringeNumber
 from slbench.patterns.base import (
+    AnyFloatArray,
     Axis,
     Code,
     FloatArray,
@@ -41,14 +44,14 @@ class Estimate:
     ----------
     turns, sigma : (P,) float64
         Periods since the last one began, in any turn, and their standard deviation.
-    modulation, mean : (P,) float64
+    modulation, mean : (P,) float32 or float64
         Half the range of the frames and their mean, DN.
     """
 
     turns: FloatArray
     sigma: FloatArray
-    modulation: FloatArray
-    mean: FloatArray
+    modulation: AnyFloatArray
+    mean: AnyFloatArray
 
 
 @dataclass(frozen=True)
@@ -112,61 +115,80 @@ class PeriodicCode(Code):
         cls, run: Run, observed: Observed, found: Mapping[Axis, Found]
     ) -> dict[Axis, Found]:
         """Decode the codes of the run, each unwrapped from the one before."""
+        from slbench.patterns.kernels.blocks import LEAST, most_unsaturated
+        from slbench.patterns.kernels.periodic import conclude, judge, search, unwrap
+
         (axis,) = run.axes
         size = extent(observed.panel, axis)
-        coarser = found.get(axis)
+        frames, count = observed.pixels, observed.pixels.shape[1]
         parts = sorted(run.parts, key=lambda placed: cast(Self, placed.code).count)
-        place = None if coarser is None else (coarser.coordinate + 0.5) / size
+        faults = np.zeros(count, np.uint8)
+        most = frames.dtype.type(most_unsaturated(observed.saturation, frames.dtype))
+        rows = np.array(run.searched, np.int64)
+        in_bands(partial(search, frames, rows, most, faults), count, LEAST)
+        limits = np.array([observed.min_modulation, observed.min_snr])
+        coarser = found.get(axis)
         closed = coarser is None and all(cast(Self, p.code).count % 1.0 == 0.0 for p in parts)
-        # Half the cell of a coarser code, whose deviation is that of a uniform error.
-        count = observed.pixels.shape[1]
-        half = np.zeros(count) if coarser is None else np.sqrt(3.0) * coarser.sigma / size
-        dim = order = coarse = np.zeros(count, dtype=np.bool_)
-        evidence: dict[int, dict[str, FloatArray]] = {}
+        # What is known before: (value + shift) periods of the panel, and half a cell by deviations.
+        before = None
+        if coarser is not None:
+            sigma = np.require(coarser.sigma, requirements="C")
+            before = (coarser.coordinate, 1.0 / size, 0.5, sigma, np.sqrt(3.0) / size)
+        evidence: dict[int, dict[str, AnyFloatArray]] = {}
         for placed in parts:
             code = cast(Self, placed.code)
             own = code.estimate(placed, observed)
-            turns = own.turns % 1.0
-            noise = np.sqrt(observed.noise.variance(own.mean))
-            least = np.maximum(observed.min_modulation, observed.min_snr * noise)
-            dim = dim | ~((own.modulation >= least) & np.isfinite(own.sigma))
-            if place is not None:
-                exact = code.count * place - turns
-                whole = np.round(exact)
-                residual = exact - whole
-                slack = code.count * half
-                coarse = coarse | ~(slack <= 0.5 + 1e-9)
-                order = order | ~(np.abs(residual) <= observed.max_order_residual + slack)
-                half = np.zeros(count)  # the next code has this one before it
-                turns = whole + turns
+            turns, sigma = (np.require(a, np.float64, ["C", "W"]) for a in (own.turns, own.sigma))
+            given = (own.modulation, own.mean, sigma, observed.noise.coefficients, limits, faults)
+            in_bands(partial(judge, *given), count, LEAST)
+            if before is not None:
+                value, scale, shift, deviation, wide = before
+                coarse = (value, code.count * scale, shift, deviation, code.count * wide)
+                residual = np.empty(count if observed.keep_evidence else 0)
+                rest = (observed.max_order_residual, residual, faults)
+                in_bands(partial(unwrap, turns, *coarse, *rest), count, LEAST)
                 if observed.keep_evidence:
                     evidence[placed.index] = {"order_residual": residual}
-            elif code.count > 1.0:  # unwrap = "spatial", by check_run
-                good = ~dim & ~saturated(placed, observed)
-                turns = _by_neighbours(turns, good, observed.shape, code.count)
-            place = turns / code.count
-            sigma = own.sigma / code.count
-        assert place is not None  # a run has a part
-        margin = END_SIGMAS * sigma
-        if closed:  # the panel is a circle: its ends are one place
-            place = place % 1.0
-            end = ~((place >= margin) & (place <= 1.0 - margin))
-        else:
-            end = ~((place >= -margin) & (place <= 1.0 + margin))
-        lost: NDArray[np.bool_] = dim | coarse | order | end
-        rules = [Rule.MODULATION, Rule.BIT, Rule.ORDER, Rule.END]
-        dropped = np.select([dim, coarse, order, end], rules, Rule.KEPT).astype(np.uint8)
+            else:
+                turns -= np.floor(turns)
+                if code.count > 1.0:  # unwrap = "spatial", by check_run
+                    good = (faults == 0) & ~saturated(placed, observed)
+                    turns = _by_neighbours(turns, good, observed.shape, code.count)
+            before = (turns, 1.0 / code.count, 0.0, sigma, 0.0)
+        mask = np.empty(count, np.bool_)
+        last = (turns, sigma, code.count, closed, END_SIGMAS, float(size), faults, mask)
+        in_bands(partial(conclude, *last), count, LEAST)
         return {
             axis: Found(
-                coordinate=size * place - 0.5,
-                sigma=size * sigma,
+                coordinate=turns,
+                sigma=sigma,
                 modulation=own.modulation,
                 mean=own.mean,
-                mask=~lost,
+                mask=mask,
+                complete=True,
                 evidence=evidence,
-                dropped=dropped if observed.keep_evidence else None,
+                dropped=_rules(faults, coarser) if observed.keep_evidence else None,
             )
         }
+
+
+def _rules(faults: NDArray[np.uint8], coarser: Found | None) -> NDArray[np.uint8]:
+    """Return by which rule pixels are dropped; a coarser code's own where it has no place."""
+    from slbench.patterns.kernels.periodic import COARSE, DIM, END, ORDER, SATURATED
+
+    rules = {
+        SATURATED: Rule.SATURATED,
+        DIM: Rule.MODULATION,
+        COARSE: Rule.BIT,
+        ORDER: Rule.ORDER,
+        END: Rule.END,
+    }
+    has = [(faults & fault) != 0 for fault in rules]
+    dropped = np.select(has, list(rules.values()), Rule.KEPT).astype(np.uint8)
+    if coarser is not None and coarser.dropped is not None:
+        lost = (dropped == Rule.ORDER) & (coarser.dropped != Rule.KEPT)
+        dropped[lost] = coarser.dropped[lost]
+    return dropped
 
 
 def saturated(placed: Placed, observed: Observed) -> NDArray[np.bool_]:

@@ -22,7 +22,7 @@ from typing import ClassVar
 import numpy as np
 
 from slbench.patterns.base import FloatArray, Observed, Panel, Placed
-from slbench.patterns.codes.periodic import Estimate, PeriodicCode, own_frames
+from slbench.patterns.codes.periodic import Estimate, PeriodicCode
 
 
 @dataclass(frozen=True)
@@ -56,15 +56,6 @@ class Trapezoidal(PeriodicCode):
 
     def estimate(self, placed: Placed, observed: Observed) -> Estimate:
         """Return the place within a period, turns, and its standard deviation."""
-        frames, variance = own_frames(placed, observed)
-        order = np.argsort(frames, axis=0, kind="stable")
-        low, middle, high = np.take_along_axis(frames, order, axis=0)
-        v_low, v_middle, v_high = np.take_along_axis(variance, order, axis=0)
-        span = high - low
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = (middle - low) / span
-            total = v_middle + (1.0 - ratio) ** 2 * v_low + ratio**2 * v_high
-            sigma = np.sqrt(total) / span / 6.0
-        side = np.where((order[1] - order[2]) % 3 == 1, 1.0, -1.0)
-        turns = order[2] / 3.0 + side * ratio / 6.0
-        return Estimate(turns, sigma, 0.5 * span, frames.mean(axis=0))
+        from slbench.patterns.kernels.periodic import in_trapezoids
+
+        return Estimate(*in_trapezoids(observed.pixels, placed.frames.start, observed.noise))

@@ -22,7 +22,10 @@ from typing import ClassVar
 import numpy as np
 
 from slbench.patterns.base import FloatArray, Observed, Panel, Placed
-from slbench.patterns.codes.periodic import Estimate, PeriodicCode, own_frames
+from slbench.patterns.codes.periodic import Estimate, PeriodicCode
+
+#: Weights of the three frames in b sin phi, b cos phi and a.
+_WEIGHTS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, -1.0, 1.0]])
 
 
 @dataclass(frozen=True)
@@ -56,26 +59,7 @@ class TwoPlusOne(PeriodicCode):
 
     def estimate(self, placed: Placed, observed: Observed) -> Estimate:
         """Return the phase of the frames, turns, and its standard deviation."""
-        (one, two, mean), variance = own_frames(placed, observed)
-        return from_quadrature(one - mean, two - mean, mean, variance)
+        from slbench.patterns.kernels.periodic import in_quadrature
 
-
-def from_quadrature(
-    sine: FloatArray, cosine: FloatArray, mean: FloatArray, variance: FloatArray
-) -> Estimate:
-    """Return the phase of b sin phi and b cos phi, both less the same mean.
-
-    Parameters
-    ----------
-    sine, cosine, mean : (P,) float64
-        DN.
-    variance : (3, P) float64
-        Of the sine's frame, the cosine's, and the mean, DN^2.
-    """
-    modulation = np.hypot(sine, cosine)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        s, c = sine / modulation, cosine / modulation
-        total = variance[0] * c**2 + variance[1] * s**2 + variance[2] * (s - c) ** 2
-        sigma = np.sqrt(total) / modulation
-    turns = np.arctan2(sine, cosine) / (2.0 * pi)
-    return Estimate(turns, sigma / (2.0 * pi), modulation, mean)
+        rows = np.array(placed.frames, np.int64)
+        return Estimate(*in_quadrature(observed.pixels, rows, _WEIGHTS, observed.noise))

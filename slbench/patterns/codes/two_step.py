@@ -18,8 +18,7 @@ import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.patterns.base import FloatArray, Observed, Panel, Placed
-from slbench.patterns.codes.periodic import Estimate, PeriodicCode, own_frames
-from slbench.patterns.codes.two_plus_one import from_quadrature
+from slbench.patterns.codes.periodic import Estimate, PeriodicCode
 
 
 @dataclass(frozen=True)
@@ -59,15 +58,21 @@ class TwoStep(PeriodicCode):
         InputError
             For a sequence without a white or a black frame.
         """
-        (one, two), variance = own_frames(placed, observed)
-        mean, total = np.zeros_like(one), np.zeros_like(one)
+        from slbench.patterns.kernels.periodic import in_quadrature
+
+        rows = list(placed.frames)
+        weights = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
         for level, name in ((1.0, "white"), (0.0, "black")):
             chosen = observed.flats(level)
             if not chosen:
                 expected = "a white and a black frame, for the mean of two-step fringes"
                 raise InputError(f"decode: parts[{placed.index}]", expected, f"no {name} one")
-            flats = observed.pixels[chosen].astype(np.float64)
-            mean += 0.5 * flats.mean(axis=0)
-            total += 0.25 * observed.noise.variance(flats).mean(axis=0) / len(chosen)
-            total[~(flats < observed.saturation).all(axis=0)] = np.nan  # no mean to be had
-        return from_quadrature(one - mean, two - mean, mean, np.stack([*variance, total]))
+            rows += chosen
+            share = 0.5 / len(chosen)
+            weights += [[-share, -share, share]] * len(chosen)
+        found = in_quadrature(
+            observed.pixels, np.array(rows, np.int64), np.array(weights), observed.noise
+        )
+        for row in rows[2:]:  # no mean to be had
+            found[1][~(observed.pixels[row] < observed.saturation)] = np.nan
+        return Estimate(*found)

@@ -92,7 +92,7 @@ def decode_sets(
         np.array([size * (1.0 / whole), whole, 1.0 / whole if way.closed else 0.0]),
         reference,
         reference_sigma,
-        np.array([noise.constant_variance, noise.gain_dn_per_e, noise.offset_dn]),
+        noise.coefficients,
         np.array([most, observed.min_modulation**2, observed.min_snr**2, limit]),
     )
     coordinate, sigma = np.empty(n_pixels), np.empty(n_pixels)

@@ -97,7 +97,7 @@ def match(
     edged = vectors.edged()
     reach = np.where(edged, 0.5, 4.0)
     reach[wide] = 0.0
-    coefficients = np.array([noise.constant_variance, noise.gain_dn_per_e, noise.offset_dn])
+    coefficients = noise.coefficients
     coefficients[0] = max(coefficients[0], 1e-12)
     coordinate, information = np.empty(count), np.empty(count)
     gain, squares = np.empty(count), np.empty(count)

@@ -5,11 +5,12 @@ import pytest
 from scipy.ndimage import uniform_filter1d
 
 from slbench.core.errors import InputError
-from slbench.patterns import NoiseModel, PatternSequence, decode
+from slbench.patterns import NoiseModel, PatternSequence, Rule, decode
 from slbench.patterns.codes.hamiltonian import HamiltonianCode, cycle
 from slbench.patterns.codes.micro import MicroPhaseShifting
 from slbench.patterns.codes.orders import PhaseCodedOrders
 from slbench.patterns.codes.xor import XorCode
+from slbench.patterns.matching.match import match
 
 SIZE = 320
 #: Text of the sequence, frames, and what of a column a pixel is known to, px.
@@ -182,3 +183,39 @@ def test_codes_that_do_not_repeat_need_none(text, width):
 def test_the_finest_is_decoded_last_whatever_was_shown_last(text, finest):
     runs = PatternSequence.parse(text, (640, 200)).runs()
     assert runs[-1].family.__name__ == finest
+
+
+@pytest.mark.parametrize(("text", "amplitude"), [("orders16@4", 200), ("orders10@5", 30)])
+def test_stairs_are_decoded_by_their_phase_as_by_matching(text, amplitude):
+    """The nearest step in phase is the most likely one, and the ends are as sure."""
+    sequence = sequence_of(text)
+    noise = NoiseModel(read_dn=2.0, step_dn=0.0)
+    clean = np.repeat(amplitude / 200.0 * shown(sequence), 200, axis=1)
+    frames = clean + np.random.default_rng(5).normal(0.0, 2.0, clean.shape)
+    by_phase = decode(frames, sequence, noise=noise)
+    (run,) = sequence.runs()
+    nearest = match(frames.reshape(len(frames), -1), PhaseCodedOrders.vectors(run), noise)
+    sure = by_phase.mask.ravel()
+    # Matching also doubts pixels of which few degrees of freedom make the noise look large.
+    assert np.mean(sure[nearest.sure]) > 0.999
+    same = by_phase.coordinate["u"].ravel()[sure] == nearest.coordinate[sure]
+    # In single precision the two nearest of a few pixels are one.
+    assert same.mean() > 0.9999
+    np.testing.assert_allclose(
+        by_phase.sigma["u"].ravel()[sure], nearest.sigma[sure], rtol=1e-12, atol=0
+    )
+    ends = np.abs(by_phase.coordinate["u"] - np.arange(SIZE)) > SIZE / 2
+    # Three standard deviations: 0.13 % of those nearest the end, of which there are few.
+    assert ends.mean() < 5e-4
+
+
+def test_a_place_that_a_coarser_code_has_lost_stays_lost():
+    """A period's order is none where the coarse place may be the panel's other end."""
+    sequence = sequence_of("trapezoid1+two-plus-one16")
+    noise = NoiseModel(read_dn=2.0, step_dn=0.0)
+    clean = np.repeat(shown(sequence), 200, axis=1)
+    frames = clean + np.random.default_rng(5).normal(0.0, 2.0, clean.shape)
+    found = decode(frames, sequence, noise=noise, keep_evidence=True)
+    assert np.nanmax(np.abs(found.coordinate["u"] - np.arange(SIZE))) < 2.0
+    assert set(np.unique(found.dropped)) == {Rule.KEPT, Rule.END}
+    assert 0.98 < found.mask.mean() < 1.0

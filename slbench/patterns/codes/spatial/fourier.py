@@ -23,8 +23,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from slbench.core.threads import thread_count
 from slbench.patterns.base import FloatArray, Observed, Panel, Placed
-from slbench.patterns.codes.periodic import Estimate, PeriodicCode, own_frames
+from slbench.patterns.codes.periodic import Estimate, PeriodicCode
 
 #: Fringes beside the picture's border that its other end, or nothing, has leaked into.
 _BORDER = 1.5
@@ -66,16 +67,13 @@ class FourierTransform(PeriodicCode):
 
     def estimate(self, placed: Placed, observed: Observed) -> Estimate:
         """Return the phase of the frame, turns, and its standard deviation."""
-        (frame,), (variance,) = own_frames(placed, observed)
-        lines, noise = frame.reshape(observed.shape), variance.reshape(observed.shape)
-        if self.axis == "v":
-            lines, noise = lines.T, noise.T
-        analytic, carrier = _analytic(np.nan_to_num(lines))
+        frame = observed.pixels[placed.frames.start].reshape(observed.shape)
+        lines = np.nan_to_num(frame.T if self.axis == "v" else frame).astype(np.float64)
+        analytic, carrier = _analytic(lines)
         modulation = 2.0 * np.abs(analytic)
-        fringe = round(1.0 / carrier) if carrier else lines.shape[1]
-        mean = local_mean(np.nan_to_num(lines), fringe)
+        mean = local_mean(lines, round(1.0 / carrier) if carrier else lines.shape[1])
         with np.errstate(divide="ignore", invalid="ignore"):
-            sigma = np.sqrt(1.5 * carrier * local_mean(np.nan_to_num(noise), fringe)) / modulation
+            sigma = np.sqrt(1.5 * carrier * observed.noise.variance(mean)) / modulation
         border = int(np.ceil(_BORDER / carrier)) if carrier else lines.shape[1]
         sigma[:, :border] = np.nan
         sigma[:, lines.shape[1] - border :] = np.nan
@@ -88,8 +86,10 @@ def _analytic(
     lines: FloatArray,
 ) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.complex128]], float]:
     """Return b / 2 exp(i phi) along lines (V, U), and the carrier, cycles a pixel; 0 for none."""
-    length = lines.shape[1]
-    spectrum = np.fft.fft(lines - lines.mean(axis=1, keepdims=True), axis=1)
+    from scipy.fft import ifft, rfft
+
+    length, workers = lines.shape[1], thread_count()
+    spectrum = rfft(lines - lines.mean(axis=1, keepdims=True), axis=1, workers=workers)
     power = (np.abs(spectrum) ** 2).sum(axis=0)[: length // 2]
     if len(power) <= _LEAST:
         return np.zeros(lines.shape, np.complex128), 0.0
@@ -100,10 +100,11 @@ def _analytic(
     carrier = float(np.sum(near * power[near]) / max(power[near].sum(), 1e-300)) / length
     if not carrier:
         return np.zeros(lines.shape, np.complex128), 0.0
-    frequency = np.fft.fftfreq(length)
-    off = (frequency - carrier) / carrier
+    off = (np.fft.rfftfreq(length) - carrier) / carrier
     window = np.where(np.abs(off) < 1.0, np.cos(0.5 * pi * off) ** 2, 0.0)
-    return np.fft.ifft(spectrum * window, axis=1), carrier
+    spectrum *= window
+    # The negative frequencies are zero.
+    return ifft(spectrum, length, axis=1, overwrite_x=True, workers=workers), carrier
 
 
 def local_mean(lines: FloatArray, width: int) -> FloatArray:
