@@ -12,8 +12,8 @@ from slbench.patterns import Fringes, NoiseModel, PhaseMap, Rule
 from slbench.patterns.crosstalk import left_over
 from slbench.patterns.fringes.weights import fit_design
 
-#: Where the noise of predicted deviations comes from.
-NoiseKind = Literal["stated", "measured", "lower bound"]
+#: Where the noise of predicted deviations comes from; a decoder of the user's own has its own.
+NoiseKind = Literal["stated", "measured", "lower bound", "decoder"]
 
 Array = NDArray[np.float64]
 #: Pixels that a measured noise needs, and those that are looked at.

@@ -11,6 +11,7 @@ import typer
 
 from slbench.cli.common import AllowModules, AllowOutside, Json, MinModulation, print_json
 from slbench.cli.lazy import command
+from slbench.core.errors import InputError
 from slbench.core.validation.types import OrderResidual
 
 
@@ -37,6 +38,10 @@ def decode(
     picture: Annotated[
         bool, typer.Option("--picture/--no-picture", help="Draw summary.png.")
     ] = True,
+    decoder: Annotated[
+        str | None,
+        typer.Option(help="Decoder of your own, mine.py:decode; with --allow-modules."),
+    ] = None,
     allow_modules: AllowModules = False,
     allow_outside: AllowOutside = False,
     as_json: Json = False,
@@ -58,10 +63,23 @@ def decode(
         from slbench.report.page import check_page_path
 
         check_page_path(page)
+    own = None
+    if decoder is not None:
+        from slbench.patterns import read_decoder
+
+        limits = {"--min-modulation": min_modulation, "--max-order-residual": max_order_residual}
+        for name, limit in limits.items():
+            if limit is not None:
+                raise InputError(name, "none with --decoder, which has its own limits", limit)
+        own = read_decoder(decoder, None, allow_modules, "--decoder")
     decoded = decode_capture(
-        shots, min_modulation=min_modulation, max_order_residual=max_order_residual, where=folder
+        shots,
+        min_modulation=min_modulation,
+        max_order_residual=max_order_residual,
+        decoder=own,
+        where=folder,
     )
-    parameters = {"folder": str(folder), "rig": str(rig) if rig else None}
+    parameters = {"folder": str(folder), "rig": str(rig) if rig else None, "decoder": decoder}
     files = {}
     if picture:
         from slbench.report.plots.decoded import write_decoded_picture

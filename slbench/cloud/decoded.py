@@ -23,7 +23,7 @@ from slbench.cloud.triangulation import PointCloud, triangulate
 from slbench.core.errors import warn_user
 from slbench.core.io import OutputFolder, write_exr, write_json, write_ply
 from slbench.core.show.display import brief, length
-from slbench.patterns import NoiseModel, PhaseMap, Rule
+from slbench.patterns import Decoder, NoiseModel, PhaseMap, Rule, decoded_by
 
 DECODED_FOLDER = OutputFolder(
     "decoded capture", ("phase.exr", "cloud.ply", "decode.json", "summary.png")
@@ -43,8 +43,8 @@ class Decoded:
         None without a rig.
     noise : NoiseModel
         What the deviations are predicted from.
-    noise_kind : {"stated", "measured", "lower bound"}
-        Where it comes from; by "lower bound" it is rounding alone.
+    noise_kind : {"stated", "measured", "lower bound", "decoder"}
+        Where it comes from; by "lower bound" it is rounding alone, by "decoder" it was not used.
     lost : dict
         Decoded pixels without a point, by reason (:func:`slbench.cloud.gaps.lost_points`).
     gap : RayGap or None
@@ -74,7 +74,7 @@ class Decoded:
             "points": None if cloud is None else len(cloud),
             "predicted_sigma_mm": float(np.median(cloud.sigma_total_mm)) if cloud else None,
             "noise": self.noise_kind,
-            "noise_model": asdict(self.noise),
+            "noise_model": None if self.noise_kind == "decoder" else asdict(self.noise),
             "dropped": self.dropped,
             "order_residual": self._residuals("order_residual"),
             "fit_residual_dn": self._residuals("fit_residual_dn"),
@@ -213,6 +213,7 @@ def decode_capture(
     *,
     min_modulation: float | None = None,
     max_order_residual: float | None = None,
+    decoder: Decoder | None = None,
     where: object = "capture",
 ) -> Decoded:
     """Decode a capture with its evidence, and triangulate it where its rig is known.
@@ -228,6 +229,9 @@ def decode_capture(
         Least modulation of a valid pixel, DN; as :meth:`Capture.decode` takes it.
     max_order_residual : float, optional
         Largest residual of a fringe order that is believed, turns; the sequence's by default.
+    decoder : callable, optional
+        Decodes the frames instead of slbench (:data:`slbench.patterns.Decoder`): it has its own
+        limits, and no evidence but its mask and deviations.
     where : object
         What to call the capture in a warning, its folder.
 
@@ -250,10 +254,17 @@ def decode_capture(
             **options,
         )
 
-    phase = decoded_with(capture.least_noise)
-    noise, kind = noise_of(capture, phase)
+    noise = capture.least_noise
+    kind: NoiseKind = "decoder"
+    if decoder is not None:
+        phase = _decoded_by(decoder, capture)
+    else:
+        phase = decoded_with(capture.least_noise)
+        noise, kind = noise_of(capture, phase)
     exposure = exposure_doubt(capture, phase)
-    doubts = [exposure] if exposure else manifest_doubts(capture.apart(), phase)
+    doubts = [exposure] if exposure else []
+    if not exposure and decoder is None:
+        doubts = manifest_doubts(capture.apart(), phase)
     if kind == "measured":
         phase = decoded_with(noise, min_snr=0.0)
     cloud, gap, lost = None, None, {}
@@ -265,3 +276,11 @@ def decode_capture(
     for doubt in doubts:
         warn_user(where, doubt)
     return Decoded(capture, phase, cloud, noise, kind, lost, gap, tuple(doubts))
+
+
+def _decoded_by(decoder: Decoder, capture: Capture) -> PhaseMap:
+    """Return what a decoder of the user's own makes of a capture's frames."""
+    shots = capture.apart()
+    phase = decoded_by(decoder, shots.frames, shots.sequence)
+    dropped = np.where(phase.mask, Rule.KEPT, Rule.OTHER).astype(np.uint8)
+    return replace(phase, relative={}, evidence={}, dropped=dropped)

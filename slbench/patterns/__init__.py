@@ -10,7 +10,7 @@ from slbench.patterns.flat import Flat
 from slbench.patterns.fringes import Fringes
 from slbench.patterns.fringes.ways import closest_rival
 from slbench.patterns.fringes.wrong_orders import order_error_probability
-from slbench.patterns.given import GivenPatterns, PatternSource, read_patterns
+from slbench.patterns.given import GivenPatterns, PatternSource, read_decoder, read_patterns
 from slbench.patterns.gray import GrayCode
 from slbench.patterns.matching import MatchedCode
 from slbench.patterns.noise import NoiseModel
@@ -51,6 +51,7 @@ __all__ = [
     "order_error_probability",
     "panel_response",
     "pattern_codes",
+    "read_decoder",
     "read_patterns",
     "relative_phase",
     "unwrap",

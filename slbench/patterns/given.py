@@ -29,6 +29,7 @@ from slbench.core.resources import inside
 from slbench.core.validation.types import NotNegative, OrderResidual, Pixels, Shifts
 from slbench.core.validation.values import Value, validated
 from slbench.patterns.base import Code, Panel, Unwrap
+from slbench.patterns.decode import Decoder
 from slbench.patterns.registry import pattern_codes
 from slbench.patterns.sequence import PatternSequence
 
@@ -60,6 +61,32 @@ class GivenPatterns(NamedTuple):
     name: str
     sequence: PatternSequence
     own_axes: bool
+
+
+def read_decoder(text: str, folder: Path | None, allowed: bool, where: str) -> Decoder:
+    """Return a decoder of the user's own, ``mine.py:decode``.
+
+    Parameters
+    ----------
+    text : str
+        ``module:object``, the module by its file or its name.
+    folder : path or None
+        What the file is relative to; the working directory by default.
+    allowed : bool
+        Whether code may be run (``--allow-modules``).
+    where : str
+        What names it, for messages.
+
+    Raises
+    ------
+    InputError
+        For an object that is not there, may not be run, or is no function.
+    """
+    decoder = load_object(text, folder, allowed, where)
+    if not callable(decoder):
+        expected = "a function of frames and sequence that returns a PhaseMap"
+        raise InputError(where, expected, type(decoder).__name__)
+    return cast(Decoder, decoder)
 
 
 @dataclass(frozen=True)

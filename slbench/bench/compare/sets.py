@@ -20,7 +20,6 @@ from typing import Literal
 
 from slbench.capture.stack import FusedCapture
 from slbench.core.errors import InputError, located
-from slbench.core.modules import load_object
 from slbench.core.random import tagged_seed
 from slbench.core.show.display import brief
 from slbench.core.validation.values import checked
@@ -32,6 +31,7 @@ from slbench.patterns import (
     PatternSource,
     PhaseMap,
     decoded_by,
+    read_decoder,
     read_patterns,
 )
 from slbench.patterns.given import object_name
@@ -179,10 +179,7 @@ def _read(
     decoder, suffix = None, ""
     if bar:
         where = f"set {given}: decoder"
-        decoder = load_object(behind.strip(), folder, allow_modules, where)
-        if not callable(decoder):
-            expected = "a function of frames and sequence that returns a PhaseMap"
-            raise InputError(where, expected, type(decoder).__name__)
+        decoder = read_decoder(behind.strip(), folder, allow_modules, where)
         given, suffix = text, f"|{object_name(behind.strip())}"
     read = read_patterns(
         *(given, scene.sequence.panel),
