@@ -4,7 +4,7 @@ What is minimised is the noise of pixels whose orders are right; the bound keeps
 Without order errors the noise of a sequence is that of its last set alone, sigma_phi(n, N) / n
 with sigma_phi proportional to 1 / sqrt(N), so everything before only has to lead there safely.
 A step from (n', N') to (n, N) is safe with probability 1 - P, and a sequence with at least the
-product of these (Sidak's inequality, see :class:`~slbench.design.fringes.design.SequenceDesign`).
+product of these (see :class:`~slbench.design.fringes.design.SequenceDesign`).
 
 Among all ascending sequences from one fringe, with any number of shifts a set, the best are
 found exactly, by dynamic programming over (frames used, n, N).  The danger of a way there,
@@ -155,14 +155,14 @@ def _safe_steps(
     danger : (S, m) float
         -log(1 - P) at each height.
     """
-    sigma = safety * np.array([[noise.of(n, many) for many in shifts] for n in options])
+    sigma = safety * np.array([[noise.relative(n, many) for many in shifts] for n in options])
     many = np.array(shifts)
     first, sources, dangers = [0], [np.empty(0, np.int64)], [np.empty((0, len(noise.z_mm)))]
     for j, n in enumerate(options):
         danger = np.full((j, len(shifts), len(shifts), len(noise.z_mm)), np.inf)
         for i in range(j):
             before = sigma[i, :, np.newaxis]
-            wrong = order_error_probability(before, sigma[j], options[i], n, "gaussian")
+            wrong = order_error_probability(before, sigma[j], options[i], n)
             with np.errstate(divide="ignore"):
                 danger[i] = -np.log1p(-np.asarray(wrong))
         for k, own in enumerate(shifts):

@@ -1,58 +1,40 @@
-"""Noise and fringe-order errors of a whole unwrapping sequence, in closed form.
+"""Noise and fringe-order errors of a whole unwrapping sequence, without sampling.
 
-Sets of n_1 < n_2 < ... fringes have relative phases with independent Gaussian errors e_k.  Step k
-has the ratio r_k = n_k / n_(k-1).  If the reference's order is off by c_(k-1) whole turns, then
+Sets of n_1 < n_2 < ... fringes have relative phases with independent errors e_k, of the density
+of a phase that noisy frames have (:mod:`slbench.patterns.fringes.wrong_orders`): its tails, which
+make the wrong orders, are not a Gaussian's.  Step k has the ratio r_k = n_k / n_(k-1).  If the
+reference's order is off by c_(k-1) whole turns, then
 
-    c_k = round(r_k c_(k-1) + d_k),   d_k = (r_k e_(k-1) - e_k) / 2 pi,
+    c_k = round(r_k c_(k-1) + (r_k e_(k-1) - e_k) / 2 pi),
 
 and the absolute phase, in radians of one fringe, is off by (2 pi c_k + e_k) / n_k.
 
-*Whole ratios.*  c_k = r_k c_(k-1) + j_k with j_k = round(d_k), so that the error after set K is
-2 pi sum_k j_k / n_k + e_K / n_K.  Only neighbouring j share an e, hence exactly
-
-    variance = sum_k (2 pi / n_k)^2 E[j_k^2] + 2 (2 pi)^2 sum_k E[j_k j_(k+1)] / (n_k n_(k+1))
-               + 4 pi E[j_K e_K] / n_K^2 + sigma_K^2 / n_K^2.
-
-The last step's own terms are those of :func:`slbench.design.fringes.unwrapping.absolute_sigma`.
-With round(x) = x + q(x), the saw tooth q(x) = sum_m (-1)^m sin(2 pi m x) / (pi m), and E[x f(y)] =
-C E[f'(y)] for joint Gaussians of covariance C = -r_(k+1) sigma_k^2 / (2 pi)^2,
-
-    E[j_k j_(k+1)] = C (1 + 2 sum_m (-1)^m (g_m(x) + g_m(y)))
-        + sum_m,o (-1)^(m+o) / (2 pi^2 m o) (h(m, -o) - h(m, o)),
-
-where g_m(x) = exp(-2 pi^2 m^2 V_x), h(m, o) = exp(-2 pi^2 (m^2 V_x + 2 m o C + o^2 V_y)) and V
-are the variances of x = d_k and y = d_(k+1).
-
-*Other ratios.*  One turn too many becomes round(r + d) of the finer fringes instead of r, such as
-two for 25 fringes after 16, which enlarges or lessens the error that is carried on.  Its variance
-is multiplied by (E[round(r + d)^2] - E[round(d)^2]) / r^2, where d is that of pixels with such an
-error: those of the step just before were off by more than half a turn, which e_(k-1) has its share
-in.  All errors are taken as one turn, as nearly all are while they are rare.
+What the next step depends on are c_k and e_k alone, so their joint distribution is carried along:
+for every e_k of a lattice and every order c_k that is not too rare, the probability of the
+interval of e_(k-1) that leads there, between whose ends the tails are taken to be exponential.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, exp, pi, sqrt
+from math import ceil, exp, floor, log, pi
 from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import log_ndtr, ndtr
 
-from slbench.design.fringes.unwrapping import absolute_sigma
 from slbench.patterns import order_error_probability
+from slbench.patterns.fringes.wrong_orders import phase_deviation, phase_error_beyond
 
 Array = NDArray[np.float64]
 
-#: Below this deviation of d, rad, an order is wrong with a probability of less than 1e-17.
-_NEVER_WRONG = 0.36
-#: Gaussian tails beyond that many deviations are below rounding.
-_NEGLIGIBLE = 8.8
-#: Most terms in each index of the double series, which more are needed for only where two
-#: successive d are nearly proportional.
-_MOST_TERMS = 128
+#: Intervals of the lattice on either side of zero, and deviations beyond which nothing is left.
+_HALF, _REACH = 256, 8.0
+#: Orders less probable than this are not followed.
+_RARE = 1e-18
+#: Conditions that are followed one by one; of more, such as pixels, those of about one noise once.
+_MOST, _ALIKE = 256, 0.01
 
 
 def unwrapping_chain(counts: Sequence[int], sigma: Array) -> tuple[Array, Array]:
@@ -63,7 +45,7 @@ def unwrapping_chain(counts: Sequence[int], sigma: Array) -> tuple[Array, Array]
     counts : sequence of K int
         Fringe counts in order of unwrapping.
     sigma : (K, m) float
-        Noise of the relative phases under m conditions, rad.
+        Noise of the relative phases under m conditions, rad: that of the frames over modulation.
 
     Returns
     -------
@@ -72,116 +54,119 @@ def unwrapping_chain(counts: Sequence[int], sigma: Array) -> tuple[Array, Array]
     wrong : (K, m) float
         Probability that the step to each set mistakes the order; zero for the first.
     """
-    turn = 2.0 * pi
-    variance, wrong = np.empty_like(sigma), np.zeros_like(sigma)
-    variance[0] = (sigma[0] / counts[0]) ** 2
-    carried, fresh = np.zeros(sigma.shape[1]), np.zeros(sigma.shape[1])
+    wrong = np.zeros_like(sigma)
     for k in range(1, len(counts)):
-        before, n = counts[k - 1], counts[k]
-        ratio, reference, own = n / before, sigma[k - 1], sigma[k]
-        spread = np.hypot(ratio * reference, own)
-        if k > 1 and n % before == 0:
-            last = before / counts[k - 2]
-            product = order_covariance(last, ratio, sigma[k - 2], reference, own)
-            carried = carried + fresh + 2.0 * turn**2 / (before * n) * product
-        elif k > 1:
-            shift, rest = _after_error(before / counts[k - 2] * sigma[k - 2], reference)
-            told = np.hypot(ratio * rest, own)
-            carried = _growth(ratio, np.zeros_like(spread), spread) * carried
-            carried += _growth(ratio, ratio * shift, told) * fresh
-        wrong[k] = order_error_probability(reference, own, before, n, "gaussian")
-        step = absolute_sigma(n, reference / before, own) ** 2
-        variance[k] = np.maximum(carried + step, 0.0)
-        fresh = (turn / n) ** 2 * _mean_square_order(np.zeros_like(spread), spread / turn)
-    return variance, wrong
+        wrong[k] = order_error_probability(sigma[k - 1], sigma[k], counts[k - 1], counts[k])
+    group: NDArray[np.intp] | slice = slice(None)
+    followed = np.maximum(sigma, 1e-9)
+    if sigma.shape[1] > _MOST:
+        level = np.log(followed)
+        step = np.floor(level.sum(axis=0) / (_ALIKE * len(counts)))
+        _, group = np.unique(step, return_inverse=True)
+        mean = np.array([np.bincount(group, row) for row in level]) / np.bincount(group)
+        followed = np.exp(mean)
+    edges, masses = _lattice(followed)
+    excess = np.empty_like(followed)
+    for i in range(excess.shape[1]):
+        _follow(np.array(counts, float), edges[:, i], masses[:, i], excess[:, i])
+    variance = (phase_deviation(sigma) / np.array(counts)[:, np.newaxis]) ** 2
+    return variance + excess[:, group], wrong
 
 
 def any_error(wrong: Array) -> Array:
-    """Return the probability of a mistake in any of the K steps, (K, m) to (m,), at most."""
+    """Return the probability of a mistake in any of the K steps, (K, m) to (m,), at most.
+
+    Steps that share a phase are safe together at least as often as if they shared none.
+    """
     with np.errstate(divide="ignore"):
         return 0.0 - np.expm1(np.log1p(-wrong).sum(axis=0))
 
 
-def order_covariance(
-    ratio: float, next_ratio: float, first: Array, middle: Array, last: Array
-) -> Array:
-    """Return the mean product of the order errors of two steps that share a phase.
-
-    Parameters
-    ----------
-    ratio, next_ratio : float
-        Ratios r of the fringe counts of both steps.
-    first, middle, last : (m,) float
-        Noise of the relative phases of the three sets, rad.
-
-    Returns
-    -------
-    (m,) float
-        E[j j'], mostly negative: what one step mistakes the other often takes back in part.
-    """
-    out = np.zeros(len(middle))
-    turn = 2.0 * pi
-    x = np.hypot(ratio * first, middle) / turn
-    y = np.hypot(next_ratio * middle, last) / turn
-    risky = np.flatnonzero((np.minimum(x, y) * turn >= _NEVER_WRONG) & (middle > 0.0))
-    covariance = -next_ratio * (middle[risky] / turn) ** 2
-    found = np.empty(len(risky))
-    _order_covariance(x[risky], y[risky], covariance, found)
-    out[risky] = found
-    return out
-
-
-def _after_error(reference: Array, own: Array) -> tuple[Array, Array]:
-    """Return mean (less than zero by this much) and deviation of e where the order is one too high.
-
-    The order is too high where d = reference - e exceeds half a turn; both in rad.
-    """
-    spread = np.maximum(np.hypot(reference, own), 1e-9)
-    z = pi / spread
-    hazard = np.exp(-0.5 * z * z - log_ndtr(-z)) / sqrt(2.0 * pi)  # mean of d beyond, in spreads
-    share = (own / spread) ** 2
-    kept = 1.0 - share * np.clip(hazard * (hazard - z), 0.0, 1.0)
-    return share * spread * hazard, own * np.sqrt(kept)
-
-
-def _growth(ratio: float, shift: Array, spread: Array) -> Array:
-    """Return the factor of a carried variance at a ratio that is not whole; noise in rad."""
-    shift, spread = shift / (2.0 * pi), spread / (2.0 * pi)
-    moved = _mean_square_order(ratio - shift, spread) - _mean_square_order(-shift, spread)
-    return moved / ratio**2
-
-
-def _mean_square_order(mean: Array, deviation: Array) -> Array:
-    """Return E[round(x)^2] of Gaussians, turns: sum_j (2 j + 1) P(|round x| > j)."""
-    most = ceil(float(np.max(np.abs(mean) + _NEGLIGIBLE * deviation, initial=0.0)) + 1.0)
-    width = np.maximum(deviation, 1e-300)
-    total = np.zeros_like(deviation)
-    for j in range(most):
-        tails = ndtr((mean - j - 0.5) / width) + ndtr((-mean - j - 0.5) / width)
-        total += (2 * j + 1) * tails
-    return total
+def _lattice(sigma: Array) -> tuple[Array, Array]:
+    """Return edges (..., 2 H + 1) of intervals of a phase error, and their probabilities."""
+    reach = np.where(_REACH * sigma < 1.0, np.arcsin(np.minimum(_REACH * sigma, 1.0)), pi)
+    half = reach[..., np.newaxis] * np.linspace(0.0, 1.0, _HALF + 1)
+    inner = half[..., 1:-1]
+    beyond = np.zeros_like(half)
+    beyond[..., 0] = 0.5
+    beyond[..., 1:-1] = phase_error_beyond(inner, sigma[..., np.newaxis])
+    mass = -np.diff(beyond)
+    edges = np.concatenate([-half[..., :0:-1], half], axis=-1)
+    return edges, np.concatenate([mass[..., ::-1], mass], axis=-1)
 
 
 @njit(cache=True, error_model="numpy")
-def _order_covariance(x: Any, y: Any, covariance: Any, out: Any) -> None:
-    """Sum the series of the module's head for the deviations x and y, turns."""
-    decay = 2.0 * pi * pi
-    for i in range(out.size):
-        c = covariance[i]
-        apart = sqrt(max(1.0 - (c / (x[i] * y[i])) ** 2, 1e-6))
-        first = min(int(_NEGLIGIBLE / (2.0 * pi * x[i] * apart)) + 1, _MOST_TERMS)
-        second = min(int(_NEGLIGIBLE / (2.0 * pi * y[i] * apart)) + 1, _MOST_TERMS)
-        slope, product = 1.0, 0.0
-        for m in range(1, first + 1):
-            slope += 2.0 * (-1.0) ** m * exp(-decay * (m * x[i]) ** 2)
-        for o in range(1, second + 1):
-            slope += 2.0 * (-1.0) ** o * exp(-decay * (o * y[i]) ** 2)
-        for m in range(1, first + 1):
-            for o in range(1, second + 1):
-                both = decay * ((m * x[i]) ** 2 + (o * y[i]) ** 2)
-                cross = decay * 2.0 * m * o * c
-                sign = 1.0 if (m + o) % 2 == 0 else -1.0
-                term = exp(cross - both) - exp(-cross - both)
-                # h(m, -o) has the exponent -both + cross: C is negative, so cross is as well.
-                product += sign / (2.0 * pi * pi * m * o) * term
-        out[i] = c * slope + product
+def _between(edges: Any, left: Any, right: Any, low: float, high: float) -> float:
+    """Return the probability of an interval, given that below and above every edge."""
+    last = edges.size - 1
+    low, high = max(low, edges[0]), min(high, edges[last])
+    if low >= high:
+        return 0.0
+    middle = 0.5 * (edges[0] + edges[last])
+    if low >= middle:
+        return _tail(edges, right, low, 1) - _tail(edges, right, high, 1)
+    if high <= middle:
+        return _tail(edges, left, high, -1) - _tail(edges, left, low, -1)
+    return left[last] - _tail(edges, left, low, -1) - _tail(edges, right, high, 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _tail(edges: Any, beyond: Any, x: float, side: int) -> float:
+    """Return what lies beyond `x`, whose logarithm is straight between edges."""
+    step = edges[1] - edges[0]
+    place = (x - edges[0]) / step
+    i = min(max(int(place), 0), edges.size - 2)
+    t = place - i
+    a, b = beyond[i], beyond[i + 1]
+    if a <= 0.0 or b <= 0.0:
+        return a + t * (b - a)
+    return a * exp(t * log(b / a))
+
+
+@njit(cache=True, error_model="numpy")
+def _follow(counts: Any, edges: Any, masses: Any, excess: Any) -> None:
+    """Carry order and phase errors along a sequence; write what they add to the variance."""
+    turn = 2.0 * pi
+    size = masses.shape[1]
+    state = np.empty((1, size))  # orders from `first` on
+    state[0] = masses[0]
+    first = 0
+    for k in range(counts.size):
+        if k > 0:
+            ratio = counts[k] / counts[k - 1]
+            x, y = edges[k - 1], edges[k]
+            most = ratio * max(abs(first), abs(first + state.shape[0] - 1))
+            span = ceil(most + (ratio * x[size] + y[size]) / turn + 0.5)
+            new = np.zeros((2 * span + 1, size))
+            left, right = np.zeros(size + 1), np.zeros(size + 1)
+            for row in range(state.shape[0]):
+                total = 0.0
+                for i in range(size):
+                    total += state[row, i]
+                    left[i + 1] = left[i] + state[row, i]
+                for i in range(size - 1, -1, -1):
+                    right[i] = right[i + 1] + state[row, i]
+                if total < _RARE:
+                    continue
+                base = ratio * (first + row)
+                for j in range(size):
+                    own = 0.5 * (y[j] + y[j + 1])
+                    low = floor(base + (ratio * x[0] - own) / turn + 0.5)
+                    high = floor(base + (ratio * x[size] - own) / turn + 0.5)
+                    for m in range(low, high + 1):
+                        begin = ((m - 0.5 - base) * turn + own) / ratio
+                        share = _between(x, left, right, begin, begin + turn / ratio)
+                        new[m + span, j] += share * masses[k, j]
+            low, high = 2 * span, 0
+            for m in range(2 * span + 1):
+                if new[m].sum() >= _RARE:
+                    low, high = min(low, m), max(high, m)
+            state, first = new[low : high + 1].copy(), low - span
+        # Of the right order an error has the variance of the phase; of others it is 2 pi c more.
+        total = 0.0
+        for row in range(state.shape[0]):
+            off = turn * (first + row)
+            for i in range(size):
+                own = edges[k, i] + edges[k, i + 1]
+                total += state[row, i] * off * (off + own)
+        excess[k] = total / counts[k] ** 2

@@ -102,7 +102,8 @@ class SequenceDesign:
         The unwrapping steps after it.
     order_error_probability : float
         Of a mistake in any step, at the worst height.  The steps' errors are correlated;
-        treated as independent they bound it from above (Z. Sidak, J. Am. Stat. Assoc. 62, 1967).
+        treated as independent they bound it from above: two steps that share an error are both the
+        safer the less it is (Chebyshev's association inequality).
     levels : (L,) float
         Noise levels of the grid, rad; empty where no grid was used.
     surfaces : tuple of dict of int to (L, L) float
@@ -443,7 +444,8 @@ def predict(
     sigma = np.array([noise.of(n, many) for n, many in zip(counts, each, strict=True)])
     if not np.all(np.isfinite(sigma)):
         raise InputError("phase noise", "fringes that can be measured", f"infinite for {counts}")
-    variance, wrong = unwrapping_chain(counts, sigma)
+    relative = [noise.relative(n, many) for n, many in zip(counts, each, strict=True)]
+    variance, wrong = unwrapping_chain(counts, np.array(relative))
     total = np.sqrt(np.mean(variance, axis=1))
     steps = [
         Step(

@@ -30,6 +30,7 @@ from slbench.core.io import read_table, write_table
 from slbench.core.show.display import brief
 from slbench.core.validation.values import checked
 from slbench.patterns import Axis, Placed
+from slbench.patterns.fringes.wrong_orders import relative_noise
 from slbench.simulate.floors import rms
 
 Array = NDArray[np.float64]
@@ -124,6 +125,15 @@ class PhaseNoise:
             expected = f"each of {len(counts)} counts once at each of {len(heights)} heights"
             raise InputError(path, expected, f"{len(rows)} rows")
         return cls(counts.astype(np.int64), sigma, heights, shifts)
+
+    def relative(self, fringes: int, shifts: int | None = None) -> Array:
+        """Return the noise over modulation at all heights, (m,), for a number of shifts.
+
+        That of the frames, which the density of the phase error follows from; little noise is the
+        phase's deviation (:func:`slbench.patterns.fringes.wrong_orders.relative_noise`).
+        """
+        own = relative_noise(self.of(fringes))
+        return own * sqrt(self.shifts / (shifts or self.shifts))
 
     def write(self, path: str | Path) -> None:
         """Write what :meth:`read` reads."""

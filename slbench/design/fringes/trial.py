@@ -62,8 +62,8 @@ _MOST_SAMPLES = 1e4
 _PIXELS = 50_000
 
 
-#: Deviation of a phase that is anywhere on the circle, rad.
-_NO_PHASE = np.pi / np.sqrt(3.0)
+#: Noise over modulation of a phase that is anywhere on the circle.
+_NO_PHASE = 20.0
 #: Tags of the random streams.
 _LIGHT, _NOISE, _SCANS = range(3)
 
@@ -363,7 +363,7 @@ class _ModelNoise:
         self._captures += 1
 
     def sigma(self) -> Array:
-        """Return the phase noise of the K sets, (K, P), rad (:mod:`slbench.patterns.phase`)."""
+        """Return the noise over modulation of K sets, (K, P) (:mod:`slbench.patterns.phase`)."""
         rows = []
         for placed in self._sets:
             own = placed.frames

@@ -31,8 +31,9 @@ from numpy.typing import ArrayLike
 from slbench.core.errors import InputError
 from slbench.patterns.base import FloatArray
 
-#: Deviations below which both densities give the same to 3 %, or less than 1e-11, rad.
-_GAUSSIAN_BELOW = 0.1
+#: Deviations below which both densities give the same to 0.4 %, rad; and such of a phase and of the
+#: difference of two that no order is wrong, to 1e-17.
+_GAUSSIAN_BELOW, _NEVER, _NEVER_APART = 0.01, 0.12, 0.35
 #: Probabilities below this are lost in rounding.
 _ROUNDING = 1e-15
 #: Deviations that are tabulated, rad: nearly certain, and evenly round the circle.
@@ -71,8 +72,8 @@ def order_error_probability(
     """Return the probability that one unwrapping step picks a wrong fringe order.
 
     For Gaussian errors the order is wrong when one of the variance
-    s^2 = (m / n sigma_ref)^2 + sigma^2 exceeds pi: P = erfc(pi / (sqrt(2) s)).  Phases of more
-    than 0.1 rad of noise have a density of their own, whose tails are longer.
+    s^2 = (m / n sigma_ref)^2 + sigma^2 exceeds pi: P = erfc(pi / (sqrt(2) s)).  Phases have a
+    density of their own, whose tails are longer: at 0.08 rad and a ratio of 10 by a quarter.
 
     Parameters
     ----------
@@ -83,8 +84,8 @@ def order_error_probability(
         Fringe counts n of the reference and m of the set that is unwrapped.
     density : {"rice", "gaussian"}
         Of the phase errors: that of noise in the frames, whose deviation `sigma` is to first order
-        (sqrt(2 / N) sigma_I / b), or a Gaussian, as the models of
-        :mod:`slbench.design.fringes` have it.
+        (sqrt(2 / N) sigma_I / b), or a Gaussian, as the thesis's model has it
+        (:mod:`slbench.design.fringes.unwrapping`).
 
     Raises
     ------
@@ -106,12 +107,59 @@ def order_error_probability(
         probability = np.asarray(erfc(pi / (sqrt(2.0) * s)))
     largest = np.maximum(*deviations)
     # An infinite deviation is that of a phase that could not be measured, and always wrong.
-    noisy = (largest > _GAUSSIAN_BELOW) & np.isfinite(largest)
+    never = (largest < _NEVER) & (s < _NEVER_APART)
+    noisy = (largest > _GAUSSIAN_BELOW) & np.isfinite(largest) & ~never
     if density == "rice" and noisy.any():
-        exact = _wrong(*deviations, ratio)
-        exact = np.where(exact > _ROUNDING, exact, np.maximum(exact, probability))
-        probability = np.where(noisy, exact, probability)
+        reference, own = (np.broadcast_to(one, s.shape)[noisy] for one in deviations)
+        exact = _wrong(reference, own, ratio)
+        probability[noisy] = np.where(
+            exact > _ROUNDING, exact, np.maximum(exact, probability[noisy])
+        )
     return float(probability) if probability.ndim == 0 else probability
+
+
+def relative_noise(deviation: ArrayLike) -> FloatArray:
+    """Return the noise over modulation whose phase has a standard deviation.
+
+    Parameters
+    ----------
+    deviation : array_like
+        Of the phase, rad; infinite stays infinite.
+
+    Returns
+    -------
+    ndarray
+        sqrt(2 / N) sigma_I / b, which is less by half its own square, relatively, to first order:
+        2 % at 0.2 rad, and without bound towards pi / sqrt(3), the phase of no signal.
+    """
+    given = np.asarray(deviation, np.float64)
+    noise, found = _deviations()
+    inside = np.exp(np.interp(np.log(np.maximum(given, found[0])), np.log(found), np.log(noise)))
+    # Below the table both are the same to 5e-5.
+    return np.where(np.isinf(given), given, np.where(given < found[0], given, inside))
+
+
+def phase_deviation(noise: ArrayLike) -> FloatArray:
+    """Return the standard deviation of a phase, rad, by its noise over modulation.
+
+    The inverse of :func:`relative_noise`.
+    """
+    given = np.asarray(noise, np.float64)
+    known, found = _deviations()
+    inside = np.exp(np.interp(np.log(np.maximum(given, found[0])), np.log(known), np.log(found)))
+    return np.where(given < found[0], given, inside)
+
+
+@cache
+def _deviations() -> tuple[FloatArray, FloatArray]:
+    """Return noises over modulation in geometric progression and the phase's deviations."""
+    noise = np.geomspace(_LEAST, _MOST, _ENTRIES)
+    x, weights = np.polynomial.legendre.leggauss(2 * _NODES)
+    # The density is narrow for little noise: nodes as far as twelve deviations.
+    reach = np.minimum(12.0 * noise, pi)[:, np.newaxis]
+    error = 0.5 * reach * (x + 1.0)
+    square = np.sum(reach * weights * error**2 * _density(error, noise[:, np.newaxis]), axis=1)
+    return noise, np.sqrt(square)
 
 
 def _wrong(reference: FloatArray, own: FloatArray, ratio: float) -> FloatArray:
@@ -136,7 +184,7 @@ def _wrong(reference: FloatArray, own: FloatArray, ratio: float) -> FloatArray:
     part = (place - below)[..., np.newaxis]
     tail = np.exp((1.0 - part) * table[below] + part * table[below + 1])
     inside = np.sum(weights / ratio * swing * tail, axis=-1)
-    beyond = _beyond(np.array(pi / ratio), sigma[..., 0]) if ratio > 1.0 else 0.0
+    beyond = phase_error_beyond(np.array(pi / ratio), sigma[..., 0]) if ratio > 1.0 else 0.0
     return np.clip(2.0 * (beyond + inside), 0.0, 1.0)
 
 
@@ -152,11 +200,11 @@ def _nodes() -> tuple[FloatArray, FloatArray]:
 def _table() -> FloatArray:
     """Return log F(-x) at the nodes, (entries, nodes), for deviations in geometric progression."""
     sigma = np.geomspace(_LEAST, _MOST, _ENTRIES)[:, np.newaxis]
-    return np.log(np.maximum(_beyond(_nodes()[0], sigma), 1e-300))
+    return np.log(np.maximum(phase_error_beyond(_nodes()[0], sigma), 1e-300))
 
 
-def _beyond(x: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Return the probability of an error beyond `x` on one side, 0 < x < pi."""
+def phase_error_beyond(x: FloatArray, sigma: FloatArray) -> FloatArray:
+    """Return the probability of a phase error beyond `x` on one side, 0 < x < pi rad."""
     from scipy.special import ndtr, owens_t
 
     height = np.sin(x) / sigma

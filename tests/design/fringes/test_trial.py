@@ -13,6 +13,7 @@ from slbench.design.fringes.design import candidates, predict, thesis_sequence
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.trial import _spread, noise_of_scene, scan_repeatedly
 from slbench.patterns import PatternSequence, unwrap
+from slbench.patterns.fringes.wrong_orders import relative_noise
 from slbench.scene.file import load_scene
 from slbench.simulate.repeats import plate_scene, repeated_phases
 
@@ -175,7 +176,7 @@ def test_pixels_that_are_not_always_measured_count_by_what_there_is():
     error[1:, :100] = np.nan  # seen once
     error[:5, 100:200] = np.nan
     error[:, 200] = np.nan
-    sigma = np.full((2, 400), 0.1)
+    sigma = np.full((2, 400), relative_noise(0.1))
     found = _spread(design, error, sigma)
     seen = np.isfinite(error)
     assert found.pixels == 400
@@ -268,8 +269,9 @@ def test_with_much_noise_the_set_between_decides_and_the_design_finds_it(grainy)
     assert len(alike) >= 5
     assert sum(value > 1.01 for value in alike) >= 3
     assert max(alike) > 2.0
-    for design in designs:
-        assert measured[design.fringes] <= 1.05 * two_step[best]
+    # Twice the noise has tails that leave no such step: what safety costs.
+    for design, most in zip(designs, (1.05, 1.05, 1.25), strict=True):
+        assert measured[design.fringes] <= most * two_step[best]
 
 
 # -- refusals -----------------------------------------------------------------------------
