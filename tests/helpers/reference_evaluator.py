@@ -31,14 +31,15 @@ def _plane(rig, z, half, stride, coded_axes):
     pixels = np.stack((u.ravel(), v.ravel()), axis=-1).astype(float)
     offsets = np.array([[i, j] for j in (-0.25, 0, 0.25) for i in (-0.25, 0, 0.25)])
     hits = _meet(camera, pixels[:, None] + offsets, z)
-    panel = np.floor(projector.project(hits) + 0.5)
+    # A ray on an edge meets the pixel to the right, or below, whatever rounding says.
+    panel = np.floor(projector.project(hits) + 0.5 + 1e-9)
     on_panel = projector.contains(panel)
     same = np.all(panel[:, :, None] == panel[:, None, :], axis=-1)
     votes = np.sum(same & on_panel[:, None, :] & on_panel[:, :, None], axis=-1)
     winner = np.argmax(votes, axis=-1)
     point = hits[:, 4]
     keep = votes.max(axis=-1) >= 5
-    keep &= np.all(np.abs(point[:, :2]) <= half[:2], axis=-1) & (abs(z) <= half[2])
+    keep &= np.all(np.abs(point[:, :2]) <= (1 + 1e-9) * half[:2], axis=-1) & (abs(z) <= half[2])
     point, pixels = point[keep], pixels[keep]
     target = panel[np.arange(len(keep)), winner][keep]
     origin, direction = camera.unproject(pixels)

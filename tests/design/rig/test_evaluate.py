@@ -149,6 +149,20 @@ def test_neighbours_are_found_between_planes():
     assert np.all(result.dispersion_mm < 5)  # pixels alone would be over 10 mm apart
 
 
+@pytest.mark.parametrize("axes", [1, 2])
+def test_rays_on_edges_are_not_left_to_rounding(axes):
+    # A plane of symmetry, and a row of camera pixels in it: all of it meets the middle line of a
+    # panel with an even number of lines.  The corners of the volume lie on rays.
+    camera = replace(MACRO.camera, principal_point=(320.0, 240.0))
+    hardware = replace(MACRO, camera=camera, coded_axes=axes)
+    rows = [[z, w, 0, z / 2, a, 0] for z in (400, 600) for w in (-200, -400) for a in (0.0, -0.2)]
+    straight = check(hardware, np.array(rows))
+    # Distortion that moves nothing leads through other code.
+    bent = replace(hardware, camera=replace(camera, distortion=(1e-13, 0.0, 0.0, 0.0, 0.0)))
+    np.testing.assert_array_equal(straight.n_points, evaluate(bent, rows).n_points)
+    assert straight.n_points.min() > 500
+
+
 # -- closed forms -------------------------------------------------------------------------
 
 

@@ -22,6 +22,8 @@ Array = NDArray[np.float64]
 
 #: More pixels than this on all planes: the threads share a configuration, not the batch.
 _LARGE = 200_000
+#: Points on the volume's faces are inside: a million times the rounding of a coordinate.
+_WITHIN = 1.0 + 1e-9
 #: Safety of the sampled bound on how close distorted rays can be.
 _DISTORTED_STEP = 0.9
 
@@ -46,7 +48,7 @@ class Maps:
         self.projector_pixels = _pixels(projector)
         self.camera_rays = np.linalg.inv(_pixels(camera))
         self.projector_rays = np.ascontiguousarray(np.linalg.inv(self.projector_pixels))
-        self.half = 0.5 * np.array(hardware.volume_mm)
+        self.half = _WITHIN * 0.5 * np.array(hardware.volume_mm)
         self.size = np.array([projector.width, projector.height], dtype=np.float64)
         self.step = self._least_step()
         self.tables = (*self._tables(), *self._lens()) if self.distorted else ()

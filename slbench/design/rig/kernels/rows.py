@@ -11,12 +11,20 @@ panel pixel (thesis 3.1.3).  Without distortion, the camera sees a panel pixel a
 quadrilateral.  Five of nine rays hold either the centre or both ends of one of the four
 lines through it, and then the quadrilateral holds the centre, too: the winner can only be the
 centre ray's panel pixel, and four more rays must meet it.  With distortion the rays vote.
+
+**Edges.**  A ray on the edge of two panel pixels meets the right or lower one.  Rigs with a plane
+of symmetry have whole rows of such rays, of which rounding may not decide: all edges are taken to
+lie a hair to the left and above.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+
+#: How far edges are moved, panel pixels: a thousand times the rounding of a coordinate of some
+#: thousand pixels.
+_HAIR = 1e-9
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -85,11 +93,12 @@ def _vote(  # type: ignore[no-untyped-def]
         w = p02 * u + p12
         h0 = p00 * u + p10
         h1 = p01 * u + p11
-        column = np.floor(h0 / w + 0.5)
-        line = np.floor(h1 / w + 0.5)
+        column = np.floor(h0 / w + 0.5 + _HAIR)
+        line = np.floor(h1 / w + 0.5 + _HAIR)
         # Within half a panel pixel: |across|, |along| <= w / 2, all linear in the offset.
-        across, across_a, across_b = h0 - column * w, a0 - column * a2, b0 - column * b2
-        along, along_a, along_b = h1 - line * w, a1 - line * a2, b1 - line * b2
+        middle, centre = column - _HAIR, line - _HAIR
+        across, across_a, across_b = h0 - middle * w, a0 - middle * a2, b0 - middle * b2
+        along, along_a, along_b = h1 - centre * w, a1 - centre * a2, b1 - centre * b2
         r, r_a, r_b = 0.5 * w, 0.5 * a2, 0.5 * b2
         count = 1.0
         p, q, s = across - across_a, along - along_a, r - r_a
@@ -106,13 +115,14 @@ def _vote(  # type: ignore[no-untyped-def]
         lit = (column >= 0.0) & (column < width) & (line >= 0.0) & (line < height)
         length = np.sqrt((x - eye_x) ** 2 + (y - eye_y) ** 2 + eye_z * eye_z)
         length += parallel * (1.0 - length)
-        slope = (1.0 - parallel) * across - scale * (first - column * third)
+        miss = h0 - column * w
+        slope = (1.0 - parallel) * miss - scale * (first - column * third)
         found = seen & lit & (count >= 5.0)
         columns[j] = column
         lines[j] = line
         xs[j] = x if found else np.nan
         ys[j] = y
-        error[j] = length * abs(across / slope) if found else np.nan
+        error[j] = length * abs(miss / slope) if found else np.nan
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -141,8 +151,8 @@ def distorted_row(  # type: ignore[no-untyped-def]
         for k in range(9):
             xk, yk = _on_plane(rays[j, k], ground)
             u, v = _project(xk, yk, z, lens)
-            columns[k] = np.floor(u + 0.5)
-            lines[k] = np.floor(v + 0.5)
+            columns[k] = np.floor(u + 0.5 + _HAIR)
+            lines[k] = np.floor(v + 0.5 + _HAIR)
         best = _majority(columns, lines, size)
         if best < 0:
             continue
