@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tomli_w
 from dataset_specs import TINY, write_spec
-from scenes_small import check_refused, run_cli
+from scenes_small import check_refused, run_cli, small
 
 from slbench.core.errors import InputError
 from slbench.core.io.images import write_png
@@ -14,7 +14,7 @@ from slbench.datasets.make.cluster import local_cluster
 from slbench.datasets.make.engine import make_dataset
 from slbench.datasets.manifest import Manifest
 from slbench.datasets.read.reader import open_dataset
-from slbench.datasets.spec.specification import load
+from slbench.datasets.spec.specification import from_dict, load
 from slbench.datasets.store.storage import Storage
 from slbench.datasets.verify import verify_dataset
 from slbench.patterns import Fringes, PatternSequence, read_patterns
@@ -140,6 +140,38 @@ def test_parts_stand_in_the_specification_too(tmp_path):
     specification, files = load(path)
     (patterns,) = specification.patterns
     assert (files, patterns.parts, patterns.unwrap) == ({}, tuple(FORMS[-1]["parts"]), "none")
+
+
+def test_shifts_and_axes_that_are_not_stated_are_the_scene_s(tmp_path):
+    scene = TINY["scene"] | {"patterns": {"shifts": 5, "axes": "v"}}
+    own = PatternSequence.parse("1,4", PANEL, 4).to_dict()["parts"]
+    (tmp_path / "set.toml").write_text(tomli_w.dumps({"parts": own}))
+    (tmp_path / "words.toml").write_text('[patterns]\nsequence = "1,8"\n')
+    given = [
+        {"sequence": "1,10"},
+        {"sequence": "1,10", "shifts": 4, "axes": "u"},
+        {"sequence": "1,10@7"},
+        {"sequence": "words.toml"},
+        {"sequence": "set.toml"},
+    ]
+    specification, _ = load(write_spec(tmp_path, patterns=given, scene=scene))
+    assert specification == from_dict(specification.model_dump(mode="json"), "dataset.json")
+    made = small("plane")
+    found = [patterns.of(made, tmp_path).sequence for patterns in specification.patterns]
+    assert [(one.parts[-1].shifts, one.axes) for one in found] == [
+        (5, ("v",)),
+        (4, ("u",)),
+        (7, ("v",)),
+        (5, ("v",)),
+        (4, ("u",)),
+    ]
+
+
+def test_shifts_of_a_scene_that_are_drawn_are_no_value(tmp_path):
+    scene = TINY["scene"] | {"patterns": {"shifts": {"integers": [3, 5]}}}
+    with pytest.raises(InputError, match=r"patterns\[0\].shifts: expected a value, as .* drawn"):
+        load(write_spec(tmp_path, patterns=[{"sequence": "1,10"}], scene=scene))
+    load(write_spec(tmp_path, patterns=[{"sequence": "1,10", "shifts": 3}], scene=scene))
 
 
 def test_the_command_makes_and_exports_them(folder, tmp_path):

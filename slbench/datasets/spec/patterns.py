@@ -21,6 +21,7 @@ from slbench.core.resources import inside
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import NotNegative, OrderResidual, Shifts
 from slbench.core.validation.values import validated
+from slbench.datasets.spec.distributions import is_distribution
 from slbench.datasets.spec.embedded import embedded_module
 from slbench.datasets.store.shards import is_member
 from slbench.patterns import PatternSequence, Variation, pattern_codes, read_patterns
@@ -44,7 +45,7 @@ class Patterns(Parameters):
     sequence : str, optional
         Short text, or what else is a pattern set (:func:`slbench.patterns.read_patterns`).
     shifts, axes
-        Of short text.
+        Of short text; where a specification states none, those of its scene's patterns.
     repeats : int
     parts, unwrap, max_order_residual, crosstalk : optional
         As a capture has them, instead of `sequence`.
@@ -56,7 +57,7 @@ class Patterns(Parameters):
 
     sequence: str | None = None
     shifts: Shifts = 3
-    axes: Literal["u", "v", "uv"] = "u"
+    axes: Literal["u", "v", "uv", "vu"] = "u"
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
     parts: tuple[dict[str, Any], ...] | None = None
     unwrap: Unwrap | None = None
@@ -103,7 +104,7 @@ def resolved(
     stated : mapping
         Their table as it stands in the file.
     scene : mapping
-        Content of the scene file, which has the panel's size.
+        Content of the scene file: it has the panel's size, and shifts and axes that are not stated.
     path : Path
         The specification; files are relative to its folder.
     files : dict of str to bytes
@@ -130,6 +131,8 @@ def resolved(
             raise InputError(f"{where}.{key}", "no such key", repr(stated[key])[:60])
     if (given.sequence is None) == (given.parts is None):
         raise InputError(where, "a sequence or parts", "both" if given.parts else "neither")
+    if given.sequence is not None:
+        given = given.model_copy(update=_of_the_scene(scene, stated, where))
     if given.sequence is not None and in_words(given.sequence):
         return given, tuple(given.axes), []  # type: ignore[arg-type]
     panel = _panel(scene, path)
@@ -156,6 +159,20 @@ def resolved(
     modules = _modules(found.sequence, files)
     patterns = validated(Patterns, kept | sequence, where)
     return patterns, found.sequence.variations, modules
+
+
+def _of_the_scene(
+    scene: Mapping[str, Any], stated: Mapping[str, Any], where: str
+) -> dict[str, Any]:
+    """Return shifts and axes of the scene's patterns that are not stated."""
+    own = scene.get("patterns")
+    if not isinstance(own, Mapping):
+        return {}
+    inherited = {key: own[key] for key in ("shifts", "axes") if key in own and key not in stated}
+    for key, value in inherited.items():
+        if is_distribution(value):
+            raise InputError(f"{where}.{key}", "a value, as the scene's is drawn", "none")
+    return inherited
 
 
 def _taken_in(
