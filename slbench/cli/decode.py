@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -42,6 +42,12 @@ def decode(
         str | None,
         typer.Option(help="Decoder of your own, mine.py:decode; with --allow-modules."),
     ] = None,
+    meeting: Annotated[
+        Literal["ray", "nearest"],
+        typer.Option(
+            help="Point of two coded axes: on the camera's ray, or nearest to both rays (thesis)."
+        ),
+    ] = "ray",
     allow_modules: AllowModules = False,
     allow_outside: AllowOutside = False,
     as_json: Json = False,
@@ -77,9 +83,11 @@ def decode(
         min_modulation=min_modulation,
         max_order_residual=max_order_residual,
         decoder=own,
+        meeting=meeting,
         where=folder,
     )
     parameters = {"folder": str(folder), "rig": str(rig) if rig else None, "decoder": decoder}
+    parameters |= {"meeting": meeting}
     files = {}
     if picture:
         from slbench.report.plots.decoded import write_decoded_picture

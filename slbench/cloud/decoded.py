@@ -19,7 +19,7 @@ from slbench.capture.doubts import exposure_doubt
 from slbench.capture.manifest import manifest_doubts
 from slbench.capture.noise import NoiseKind, noise_of
 from slbench.cloud.gaps import RayGap, lost_points, ray_gap, rig_doubts
-from slbench.cloud.triangulation import PointCloud, triangulate
+from slbench.cloud.triangulation import Meeting, PointCloud, triangulate
 from slbench.core.errors import warn_user
 from slbench.core.io import OutputFolder, write_exr, write_json, write_ply
 from slbench.core.show.display import brief, length
@@ -214,6 +214,7 @@ def decode_capture(
     min_modulation: float | None = None,
     max_order_residual: float | None = None,
     decoder: Decoder | None = None,
+    meeting: Meeting = "ray",
     where: object = "capture",
 ) -> Decoded:
     """Decode a capture with its evidence, and triangulate it where its rig is known.
@@ -232,6 +233,8 @@ def decode_capture(
     decoder : callable, optional
         Decodes the frames instead of slbench (:data:`slbench.patterns.Decoder`): it has its own
         limits, and no evidence but its mask and deviations.
+    meeting : {"ray", "nearest"}
+        Where the point of two coded axes is, as of :func:`triangulate`.
     where : object
         What to call the capture in a warning, its folder.
 
@@ -269,7 +272,7 @@ def decode_capture(
         phase = decoded_with(noise, min_snr=0.0)
     cloud, gap, lost = None, None, {}
     if capture.rig is not None:
-        cloud = triangulate(capture.rig, phase)
+        cloud = triangulate(capture.rig, phase, meeting)
         gap = ray_gap(capture.rig, phase, cloud)
         lost = lost_points(capture.rig, phase, cloud)
         doubts += rig_doubts(phase, lost, gap)

@@ -2,7 +2,10 @@
 
 One coded axis: a camera pixel's ray meets the surface of points that the projector sees in
 panel column ``u`` (thesis eq. 9-12; a plane through the nodal point, unless the lens
-distorts).  Two coded axes: the point nearest to both rays, in the least-squares sense.
+distorts).  Two coded axes: the point of the camera's ray, which is exact, whose panel coordinates
+are nearest to the decoded ones, each by its own standard deviation: an axis that tells little of
+the distance has little weight, and two axes are never worse than one.  The thesis takes the point
+nearest to both rays in the least-squares sense, whatever is known of them (``"nearest"``).
 
 Each point carries its *sensitivity*, the derivative of the point by the panel coordinate; with
 the coordinate's standard deviation it gives the covariance that noise in the phase causes.
@@ -20,15 +23,20 @@ from slbench.cloud.rays import closest, meet_curves
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, length
 from slbench.core.show.drawing import figure
+from slbench.core.validation.values import checked
 from slbench.patterns import PhaseMap
 from slbench.rig import Device, Rig
 from slbench.rig.pose import product
 
 Array = NDArray[np.float64]
 Axis = Literal["u", "v"]
+#: Where the point of two coded axes is.
+Meeting = Literal["ray", "nearest"]
 
 #: Points handled together: bounds the temporaries of a pass to some 200 MB.
 _POINTS_PER_PASS = 1 << 18
+#: Deviation of a coordinate that has none: two of them weigh the same.
+_EXACT_PX = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +108,8 @@ class PointCloud:
         return result
 
 
-def triangulate(rig: Rig, phase: PhaseMap) -> PointCloud:
+@checked
+def triangulate(rig: Rig, phase: PhaseMap, meeting: Meeting = "ray") -> PointCloud:
     """Triangulate every decoded pixel.
 
     Parameters
@@ -108,6 +117,9 @@ def triangulate(rig: Rig, phase: PhaseMap) -> PointCloud:
     rig : Rig
     phase : PhaseMap
         Panel coordinates of one or two axes for the rig's camera.
+    meeting : {"ray", "nearest"}
+        Where the point of two coded axes is: on the camera's ray, both coordinates weighted by
+        their deviations, or nearest to both rays (thesis 3.1.4).
 
     Returns
     -------
@@ -132,6 +144,7 @@ def triangulate(rig: Rig, phase: PhaseMap) -> PointCloud:
     points = np.full((len(pixels), 3), np.nan)
     sensitivity = np.full((len(pixels), len(axes), 3), np.nan)
     panel = np.stack([phase.coordinate[axis][v, u] for axis in axes], axis=-1)
+    sigma = np.stack([phase.sigma[axis][v, u] for axis in axes], axis=-1)
     for first in range(0, len(pixels), _POINTS_PER_PASS):
         part = slice(first, first + _POINTS_PER_PASS)
         origins, directions = camera.unproject(pixels[part])
@@ -141,9 +154,12 @@ def triangulate(rig: Rig, phase: PhaseMap) -> PointCloud:
         else:
             order = [axes.index("u"), axes.index("v")]
             target = panel[part][:, order]
-            points[part], found = nearest_points(rig.projector, origins, directions, target)
-            sensitivity[part] = found[:, order]
-    sigma = np.stack([phase.sigma[axis][v, u] for axis in axes], axis=-1)
+            if meeting == "nearest":
+                result = nearest_points(rig.projector, origins, directions, target)
+            else:
+                own = sigma[part][:, order]
+                result = weighted_points(rig.projector, origins, directions, target, own)
+            points[part], sensitivity[part] = result[0], result[1][:, order]
     with np.errstate(invalid="ignore"):  # parallel rays meet at infinities of either sign
         good = np.isfinite(points.sum(axis=-1)) & np.isfinite(sensitivity.sum(axis=(1, 2)))
     if not good.all():
@@ -206,6 +222,50 @@ def _meet_plane(
     across = direction[:, k] - x * direction[:, 2]
     distance = (x * origin[:, 2] - origin[:, k]) / across
     return distance, (origin[:, 2] + distance * direction[:, 2]) / across
+
+
+def weighted_points(
+    projector: Device, origins: Array, directions: Array, panel: Array, sigma: Array
+) -> tuple[Array, Array]:
+    """Return the points of camera rays whose panel coordinates are the most likely.
+
+    The ray meets the surface of the coordinate that tells the more of the distance; a step of
+    Gauss and Newton takes the other one in, by what both are worth.
+
+    Parameters
+    ----------
+    projector : Device
+    origins, directions : (N, 3) float
+        Camera rays in world coordinates, directions of unit length.
+    panel, sigma : (N, 2) float
+        Panel coordinates (u, v) and their standard deviations, px.
+
+    Returns
+    -------
+    points : (N, 3) float
+        NaN where a ray does not meet the surface in front of both devices.
+    sensitivity : (N, 2, 3) float
+        Derivative of the point by u and v, mm/px.
+    """
+    points = np.full(origins.shape, np.nan)
+    poorest = np.full(len(points), np.inf)
+    sigma = np.maximum(sigma, _EXACT_PX)
+    axes: tuple[Axis, ...] = ("u", "v")
+    for k, axis in enumerate(axes):
+        found, slope = intersect_axis(projector, origins, directions, panel[:, k], axis)
+        with np.errstate(invalid="ignore"):
+            own = np.linalg.norm(slope, axis=1) * sigma[:, k]
+            better = (own < poorest) & np.isfinite(found[:, 0])
+        points[better], poorest[better] = found[better], own[better]
+    pixels, jacobian = projector.project_with_jacobian(points)
+    along = np.einsum("nki,ni->nk", jacobian, directions)  # px/mm
+    with np.errstate(invalid="ignore", divide="ignore"):
+        weight = along / sigma**2
+        total = np.sum(weight * along, axis=1)
+        distance = np.sum(weight * (panel - pixels), axis=1) / total
+        points += distance[:, None] * directions
+        sensitivity = (weight / total[:, None])[..., None] * directions[:, None]
+    return points, sensitivity
 
 
 def nearest_points(

@@ -7,7 +7,7 @@ pixel's footprint averages) or Monte Carlo: the second part is told by half of t
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import ceil, inf, sqrt
 
 import numpy as np
@@ -144,12 +144,26 @@ def halves(transports: Sequence[LightTransport]) -> list[LightTransport] | None:
     return found if len(found) == len(transports) else None
 
 
-def phase_map(coordinate: dict[Axis, Array]) -> PhaseMap:
-    """Return noise-free coordinates as what a decoder returns: no deviation, no modulation."""
+def phase_map(coordinate: dict[Axis, Array], like: Mapping[Axis, Array] | None = None) -> PhaseMap:
+    """Return noise-free coordinates as what a decoder returns: no deviation, no modulation.
+
+    Parameters
+    ----------
+    coordinate : dict of axis to (V, U) float
+        NaN where there is none.
+    like : mapping of axis to (V, U) float, optional
+        Deviations by which two axes are to be weighed, as those of a capture are; where it has
+        none, their median.
+    """
     first = next(iter(coordinate.values()))
     mask = np.logical_and.reduce([np.isfinite(values) for values in coordinate.values()])
     nothing = np.zeros(first.shape, np.float32)
-    sigma = {axis: np.where(mask, 0.0, np.nan) for axis in coordinate}
+    sigma = {}
+    for axis in coordinate:
+        own = np.zeros(first.shape) if like is None else like[axis]
+        known = own[np.isfinite(own)]
+        usual = np.median(known) if len(known) else 0.0
+        sigma[axis] = np.where(mask, np.where(np.isfinite(own), own, usual), np.nan)
     return PhaseMap(coordinate, sigma, nothing, nothing, mask, {})
 
 

@@ -119,6 +119,57 @@ def test_distortion_costs_no_digits(axes, tilted):
     np.testing.assert_allclose(cloud.image(cloud.points), points, rtol=0, atol=1e-11)
 
 
+@pytest.mark.parametrize("distorted", [False, True])
+@pytest.mark.parametrize("poor", [1.0, 10.0])
+def test_two_axes_are_as_good_as_both_together(distorted, poor):
+    """As noisy as predicted, better than either axis, and than the point nearest to both rays."""
+    rig = make_rig(distorted=distorted)
+    points = exact_points(rig, 5)
+    exact = phase_map(rig, points, "uv")
+    deviations = {"u": 0.05, "v": 0.05 * poor}
+    rng = np.random.default_rng(6)
+    errors = {"u": [], "v": [], "uv": [], "nearest": []}
+    for _ in range(40):
+        noisy = {
+            axis: exact.coordinate[axis] + rng.normal(0.0, own, points.shape[:2])
+            for axis, own in deviations.items()
+        }
+        sigma = {axis: np.full(points.shape[:2], own) for axis, own in deviations.items()}
+        for name in errors:
+            axes = "uv" if name == "nearest" else name
+            meeting = "nearest" if name == "nearest" else "ray"
+            phase = replace(
+                exact,
+                coordinate={axis: noisy[axis] for axis in axes},
+                sigma={axis: sigma[axis] for axis in axes},
+            )
+            cloud = triangulate(rig, phase, meeting)
+            errors[name].append(cloud.image(cloud.points) - points)
+            if name == "uv":
+                predicted = cloud.sigma_total_mm
+    rms = {
+        name: np.sqrt(np.nanmean(np.sum(np.square(some), axis=-1), axis=0))
+        for name, some in errors.items()
+    }
+    # Each pixel's of 40 draws scatters by a ninth; their mean over 400 pixels by half a percent.
+    assert np.sqrt(np.mean(rms["uv"] ** 2)) == pytest.approx(
+        np.sqrt(np.mean(predicted**2)), rel=0.03
+    )
+    inverse = 1.0 / rms["u"] ** 2 + 1.0 / rms["v"] ** 2
+    assert np.median(rms["uv"] * np.sqrt(inverse)) == pytest.approx(1.0, abs=0.03)
+    assert np.median(rms["uv"] / rms["nearest"]) < 1.0
+    # A point on the camera's ray has no error across it.
+    assert np.median(rms["uv"] / rms["u"]) < 1.0
+
+
+def test_coordinates_without_deviations_weigh_the_same():
+    rig = make_rig()
+    points = exact_points(rig, 5)
+    cloud = triangulate(rig, phase_map(rig, points, "uv", sigma=0.0))
+    np.testing.assert_allclose(cloud.image(cloud.points), points, rtol=0, atol=1e-9)
+    assert np.isfinite(cloud.sensitivity).all()
+
+
 @given(ALL_RIGS, st.integers(0, 2**32 - 1))
 def test_sensitivity_of_rays_that_miss_each_other(rig, seed):
     """Where rays meet, their distance does not enter; noisy coordinates make it do so."""

@@ -8,7 +8,7 @@ grow with the number of repeats.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -165,7 +165,7 @@ def scan_repeats(
         if on_progress:
             on_progress((r + 1) / repeats)
     start = time.perf_counter()
-    floor, sampling = _floors(patterned, given, transports, weighed, pixels, true)
+    floor, sampling = _floors(patterned, given, transports, weighed, phase.sigma, pixels, true)
     stages["floor"] = time.perf_counter() - start
     measured = int(sums.scans.sum())
     lit = int(np.count_nonzero(truth.lit))
@@ -217,6 +217,7 @@ def _floors(
     given: PatternSet,
     transports: Sequence[LightTransport],
     weights: FusionWeights | None,
+    sigma: Mapping[Axis, Array],
     pixels: NDArray[np.intp],
     true: Array,
 ) -> tuple[Array, Array]:
@@ -225,7 +226,7 @@ def _floors(
     def points(lights: Sequence[LightTransport]) -> Array:
         sequence, projector = scene.sequence, scene.rig.projector
         coordinates = noise_free_coordinates(lights, sequence, projector, weights, given.decoder)
-        cloud = triangulate(scene.rig, phase_map(coordinates))
+        cloud = triangulate(scene.rig, phase_map(coordinates, sigma))
         return cloud.image(cloud.points).reshape(-1, 3)[pixels]
 
     found, half = points(transports), halves(transports)

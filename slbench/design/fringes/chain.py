@@ -54,11 +54,7 @@ def unwrapping_chain(counts: Sequence[int], sigma: Array) -> tuple[Array, Array]
     wrong : (K, m) float
         Probability that the step to each set mistakes the order; zero for the first.
     """
-    wrong = np.zeros_like(sigma)
-    for k in range(1, len(counts)):
-        wrong[k] = order_error_probability(sigma[k - 1], sigma[k], counts[k - 1], counts[k])
-    group: NDArray[np.intp] | slice = slice(None)
-    followed = np.maximum(sigma, 1e-9)
+    followed, group = np.maximum(sigma, 1e-9), np.arange(sigma.shape[1])
     if sigma.shape[1] > _MOST:
         level = np.log(followed)
         step = np.floor(level.sum(axis=0) / (_ALIKE * len(counts)))
@@ -69,8 +65,27 @@ def unwrapping_chain(counts: Sequence[int], sigma: Array) -> tuple[Array, Array]
     excess = np.empty_like(followed)
     for i in range(excess.shape[1]):
         _follow(np.array(counts, float), edges[:, i], masses[:, i], excess[:, i])
+    wrong = _mistakes(counts, sigma)
+    excess = excess[:, group]
+    if followed.shape[1] < sigma.shape[1]:
+        # Of one group with other noise a pixel has more wrong orders, and as much more of theirs.
+        typical = _so_far(_mistakes(counts, followed))[:, group]
+        excess *= np.divide(_so_far(wrong), typical, out=np.ones_like(wrong), where=typical > 0.0)
     variance = (phase_deviation(sigma) / np.array(counts)[:, np.newaxis]) ** 2
-    return variance + excess[:, group], wrong
+    return variance + excess, wrong
+
+
+def _mistakes(counts: Sequence[int], sigma: Array) -> Array:
+    """Return the probability that the step to each set mistakes the order, (K, m)."""
+    wrong = np.zeros_like(sigma)
+    for k in range(1, len(counts)):
+        wrong[k] = order_error_probability(sigma[k - 1], sigma[k], counts[k - 1], counts[k])
+    return wrong
+
+
+def _so_far(wrong: Array) -> Array:
+    """Return the probability of a mistake in any step up to each, (K, m), at most."""
+    return np.array([any_error(wrong[: k + 1]) for k in range(len(wrong))])
 
 
 def any_error(wrong: Array) -> Array:
