@@ -9,6 +9,7 @@ looked at.  The short text of a sequence, such as ``"1,10,50@4"``, follows the t
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -44,6 +45,9 @@ from slbench.patterns.registry import pattern_codes
 MAX_ORDER_RESIDUAL = 0.3
 #: Words of the short text that force a way to tell fringes apart; "gray" is a code.
 _WAYS = tuple(way for way in get_args(Unwrap) if way not in ("auto", "gray"))
+
+#: Spaces that part nothing: about the signs of the short text and a decoder's bar, before a unit.
+_BESIDE_SIGNS = re.compile(r"\s*([,+@/|])\s*|\s+(?=px)")
 
 
 @dataclass(frozen=True)
@@ -377,7 +381,8 @@ class PatternSequence(Value):
             for the counts before it that have none: ``"1,10,50"``, ``"1,10,50@4"``,
             ``"gray+16@8"``.  A count is any real number (``28.8@4``), or a period (``22.5px``);
             ``@0/90/180`` is a list of shifts in degrees.  A last word forces what tells fringes
-            apart: ``"15,16@4+heterodyne"``, ``"16@4+spatial"``.
+            apart: ``"15,16@4+heterodyne"``, ``"16@4+spatial"``.  Spaces stand beside these signs
+            alone: ``"1 10 50"`` is not ``"11050"``.
         panel : (int, int)
             Panel width and height in pixels.
         shifts : int
@@ -394,13 +399,18 @@ class PatternSequence(Value):
             raise InputError("patterns", 'text such as "1,10,50@4" or "gray+16@8"', repr(text))
         if axes not in ("u", "v", "uv", "vu"):
             raise InputError("patterns: axes", '"u", "v", "uv" or "vu"', repr(axes))
-        *words, last = text.replace(" ", "").split("+")
+        found = compact(text)
+        joined = re.sub(r"\s+", "+", re.sub(r"(?<=\d)\s+(?=\d)", ",", found))
+        *words, last = joined.split("+")
         forced = bool(words) and last in _WAYS
         parts: list[Code] = []
         for i, axis in enumerate(cast(Sequence[Axis], axes)):
             for word in words if forced else (*words, last):
                 codes = _read_word(f'patterns "{text}"', word, axis, shifts)
                 parts += [code for code in codes if i == 0 or code.axes == (axis,)]
+        if joined != found:
+            expected = f'"{joined}": counts joined by commas, words by +'
+            raise InputError(f'patterns "{text}"', expected, "spaces between them")
         return cls(panel, tuple(parts), cast(Unwrap, last) if forced else "auto")
 
     def _text(self, axes: Sequence[Axis]) -> str:
@@ -437,6 +447,11 @@ def _part_from_dict(where: str, table: Mapping[str, Any], folder: Path | None) -
     values = {key: value for key, value in table.items() if key != "kind"}
     with _located(where):
         return family.from_table(values, folder)
+
+
+def compact(text: str) -> str:
+    """Return short text without the spaces that part no words."""
+    return _BESIDE_SIGNS.sub(r"\1", text.strip())
 
 
 def _read_word(where: str, word: str, axis: Axis, shifts: int) -> list[Code]:

@@ -186,6 +186,28 @@ def test_bad_short_text(text):
         PatternSequence.parse(text, PANEL)
 
 
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("1 10 50", "1,10,50"),
+        ("1 , 4 16", "1,4,16"),
+        ("1\t10", "1,10"),
+        ("gray 16@8", "gray+16@8"),
+        ("1 8@4 heterodyne", "1,8@4+heterodyne"),
+    ],
+)
+def test_spaces_between_words_are_refused_with_what_is_meant(text, shown):
+    with pytest.raises(InputError, match="spaces between them") as caught:
+        PatternSequence.parse(text, (640, 480))
+    assert caught.value.expected.startswith(f'"{shown}"')
+    PatternSequence.parse(shown, (640, 480))
+
+
+def test_spaces_beside_signs_and_units_are_none():
+    spaced = PatternSequence.parse(" gray + 4 , 8 @ 4 + 22.5 px@0 / 90 /180 ", PANEL)
+    assert spaced == PatternSequence.parse("gray+4,8@4+22.5px@0/90/180", PANEL)
+
+
 @pytest.mark.parametrize("axes", ["", "w", "uu"])
 def test_bad_axes(axes):
     with pytest.raises(InputError, match="axes"):

@@ -26,6 +26,7 @@ from slbench.bench.compare.comparison import SetResult
 from slbench.core.errors import InputError
 from slbench.core.registry import Registry
 from slbench.objects import REFERENCE
+from slbench.patterns.sequence import compact
 from slbench.scene.model import Scene
 from slbench.score.features import PlaneScore, SpacingScore, SphereScore, StepScore
 from slbench.score.fusion import FusionScore, Sharpness
@@ -153,7 +154,7 @@ def pattern_set(text: str, where: str) -> tuple[str, str]:
     match = _SET.fullmatch(text)
     if match is None:
         raise InputError(where, "a quantity such as set[1,10,50].std_median_mm", repr(text))
-    patterns, name = match[1].replace(" ", ""), match[2]
+    patterns, name = compact(match[1]), match[2]
     steps = [f"step[{match[3] or '2.5'}].{field}" for field in _SET_STEP_FIELDS]
     if name not in SET_FIELDS and name not in steps:
         raise unknown(where, text, [f"set[{patterns}].{k}" for k in (*SET_FIELDS, *steps)])

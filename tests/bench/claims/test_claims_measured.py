@@ -34,6 +34,7 @@ from slbench.bench.claims.quantities import (
     check_set,
     claim_quantities,
     features_of,
+    pattern_set,
     quantities_of,
     resolve,
     score_values,
@@ -145,6 +146,10 @@ class TestQuantities:
         # Six digits of it are another height.
         with pytest.raises(InputError, match=r"1\.5, 2\.500012"):
             check_set("set[1,10].step[2.50001].std_mm", scene, "here")
+
+    def test_spaces_in_a_set_part_counts_as_in_short_text(self):
+        for text, read in (("1, 10", "1,10"), ("1 | a.py:b", "1|a.py:b"), ("1 10", "1 10")):
+            assert pattern_set(f"set[{text}].rms_mm", "here") == (read, "rms_mm")
 
     def test_spheres_and_their_spacing(self):
         scene = small("sphere", divisor=2, samples=8)
