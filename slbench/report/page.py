@@ -37,6 +37,7 @@ _WIDE = 640
 #: Keys of the provenance that are shown first, and how they are called.
 _FACTS = {
     "slbench": "slbench",
+    "commit": "commit",
     "seed": "seed",
     "python": "Python",
     "platform": "platform",

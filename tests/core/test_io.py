@@ -5,9 +5,11 @@ import importlib.metadata
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,8 +20,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import slbench
 from slbench.core import io
 from slbench.core.errors import InputError
+from slbench.core.io.provenance import _commit
 
 RNG = np.random.default_rng(20)
 
@@ -519,6 +523,33 @@ def test_provenance_says_what_made_the_result(tmp_path):
     assert written["libraries"]["numpy"] == np.__version__
     assert written["libraries"]["trimesh"] == importlib.metadata.version("trimesh")
     assert written["time_utc"].endswith("+00:00")
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="no git")
+def test_provenance_has_the_commit_of_a_checkout(tmp_path, monkeypatch):
+    assert _commit(tmp_path) is None  # an installed package
+
+    def git(*words):
+        who = ("-c", "user.name=A", "-c", "user.email=a@b", "-c", "commit.gpgsign=false")
+        done = subprocess.run(["git", *who, *words], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+    (tmp_path / "a.py").write_text("1")
+    git("init")
+    git("add", "a.py")
+    git("commit", "-m", "a")
+    git("tag", "v1")
+    monkeypatch.setenv("GIT_DIR", str(tmp_path / "elsewhere"))
+    fresh = _commit.__wrapped__
+    own = fresh(tmp_path)
+    (tmp_path / "a.py").write_text("2")
+    assert fresh(tmp_path) == f"{own}-dirty"
+    monkeypatch.setenv("PATH", str(tmp_path))  # a machine without git
+    assert fresh(tmp_path) is None
+    monkeypatch.undo()
+    assert git("rev-parse", "HEAD") == own
+    assert io.provenance({}, None)["commit"] == _commit(Path(slbench.__file__).parents[1])
 
 
 def test_provenance_does_not_import_the_renderer():

@@ -1,9 +1,13 @@
 """Where a result comes from: the ``provenance.json`` of every output folder."""
 
 import datetime
+import functools
 import importlib.metadata
+import os
 import platform
+import subprocess
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import slbench
@@ -29,7 +33,7 @@ PROVENANCE_LIBRARIES = (
 
 
 def provenance(parameters: Mapping[str, Any], seed: int | None) -> dict[str, Any]:
-    """Return what made a result: version, seed, parameters, libraries, machine, time.
+    """Return what made a result: version, commit, seed, parameters, libraries, machine, time.
 
     Versions are read from installed metadata, so nothing heavy is imported.
 
@@ -43,9 +47,10 @@ def provenance(parameters: Mapping[str, Any], seed: int | None) -> dict[str, Any
     Returns
     -------
     dict
-        Keys ``slbench, seed, parameters, python, libraries, extensions, platform, time_utc``;
-        extensions are the packages and modules beside slbench that rows of registries came
-        from in this process.
+        Keys ``slbench, commit, seed, parameters, python, libraries, extensions, platform,
+        time_utc``; the commit is that of the package's git checkout, with ``-dirty`` behind it
+        where files differ from it, and None where there is no checkout; extensions are the
+        packages and modules beside slbench that rows of registries came from in this process.
     """
     versions: dict[str, str | None] = {}
     for name in PROVENANCE_LIBRARIES:
@@ -55,6 +60,7 @@ def provenance(parameters: Mapping[str, Any], seed: int | None) -> dict[str, Any
             versions[name] = None
     return {
         "slbench": slbench.__version__,
+        "commit": _commit(Path(slbench.__file__).parents[1]),
         "seed": seed,
         "parameters": dict(parameters),
         "python": platform.python_version(),
@@ -63,3 +69,19 @@ def provenance(parameters: Mapping[str, Any], seed: int | None) -> dict[str, Any
         "platform": platform.platform(),
         "time_utc": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
+
+
+@functools.cache
+def _commit(checkout: Path) -> str | None:
+    """Return the commit of a git checkout; None where the folder is none, or git cannot tell."""
+    if not (checkout / ".git").exists():
+        return None
+    command = "git --no-optional-locks describe --always --dirty --abbrev=40 --exclude=*"
+    # Hooks of git name the repository that they run for, which is another.
+    others = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+    options: dict[str, Any] = {"capture_output": True, "text": True, "check": True, "timeout": 10.0}
+    try:
+        found = subprocess.run(command.split(), cwd=checkout, env=others, **options)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return found.stdout.strip()
