@@ -9,6 +9,10 @@ apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers
 ``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``name_*``,
 ``fill_factor_camera``, ``flux_w``,
 ``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.  Other entries are left alone.
+
+A lens with an aperture and no focus distance is in focus where its axis comes closest to the
+world's origin, as in a scene file; at infinity where the origin is not before both devices, which
+it is not where the world is the camera's frame.
 """
 
 from __future__ import annotations
@@ -86,7 +90,7 @@ def write_rig(path: str | Path, rig: Rig) -> None:
         values[f"size_{name}"] = np.array([device.width, device.height], dtype=np.float64)
         values[f"pitch_um_{name}"] = np.array(device.pitch_mm) * 1e3
         values[f"aperture_radius_mm_{name}"] = float(device.lens.aperture_radius_mm)
-        if np.isfinite(device.lens.focus_distance_mm):
+        if np.isfinite(device.lens.focus_distance_mm) or device.lens.aperture_radius_mm:
             values[f"focus_distance_mm_{name}"] = float(device.lens.focus_distance_mm)
         values[f"lens_{name}"] = device.lens.kind
         values[f"wavelength_nm_{name}"] = float(device.lens.wavelength_nm)
@@ -159,7 +163,25 @@ class _Values:
             raise InputError(f"{self.path}: {rotation}", error.expected, error.got) from None
 
 
-def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
+def _focus(values: _Values, name: str, aperture_mm: float, depth_mm: float | None) -> float:
+    """Return a focus distance as stated, or the depth of the world's origin, None if not before."""
+    key = f"focus_distance_mm_{name}"
+    stated = values.values.get(key)
+    if isinstance(stated, float) and stated == np.inf:
+        return np.inf
+    if stated is not None:
+        return values.number(key, 0.0)
+    # The rays of a telecentric lens depend on it, and a pinhole has none.
+    if aperture_mm <= 0.0 or values.text(f"lens_{name}", "perspective") == "telecentric":
+        return np.inf
+    if depth_mm is None:
+        why = "none is stated and the world's origin is not before both devices"
+        warn_user(f"{values.path}: {key}", f"{why}: the {name} is in focus at infinity")
+        return np.inf
+    return depth_mm
+
+
+def _device_arguments(values: _Values, name: str, depth_mm: float | None) -> dict[str, Any]:
     matrix = values.array(f"K_{name}", (9,)).reshape(3, 3)
     fixed = matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]]
     if np.any(fixed != [0.0, 0.0, 0.0, 0.0, 1.0]) or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
@@ -183,9 +205,8 @@ def _device_arguments(values: _Values, name: str) -> dict[str, Any]:
     if not (width.is_integer() and height.is_integer()):
         raise InputError(f"{values.path}: size_{name}", "whole numbers", f"{width} x {height}")
     kind = values.text(f"lens_{name}", "perspective")
-    focus_key = f"focus_distance_mm_{name}"
-    focus = values.number(focus_key, 0.0) if focus_key in values.values else np.inf
     aperture = values.number(f"aperture_radius_mm_{name}", 0.0)
+    focus = _focus(values, name, aperture, depth_mm)
     vignetting = values.number(f"natural_vignetting_{name}", 1)
     if vignetting not in (0, 1):
         raise InputError(f"{values.path}: natural_vignetting_{name}", "0 or 1", vignetting)
@@ -231,7 +252,8 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
     Warns
     -----
     InputWarning
-        If lengths are a thousand times off, or the principal point is that of other frames.
+        If lengths are a thousand times off, the principal point is that of other frames, or an
+        aperture has no focus distance and nothing to be focused on.
     """
     values = _Values(path)
     camera_pose = values.pose("R_world", "T_world", Pose())
@@ -240,10 +262,13 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
         camera_pose.rotation @ relative.rotation, camera_pose.to_world(relative.position)
     )
     volume = values.array("volume_mm", (3,), [60.0, 70.0, 30.0])
-    camera_arguments = _device_arguments(values, "camera") | {
+    # The origin's depths before the devices.
+    depths = [float(-pose.position @ pose.rotation[:, 2]) for pose in (camera_pose, projector_pose)]
+    before = depths if min(depths) > 0.0 else (None, None)
+    camera_arguments = _device_arguments(values, "camera", before[0]) | {
         "fill_factor": values.number("fill_factor_camera", 1.0)
     }
-    projector_arguments = _device_arguments(values, "projector") | {
+    projector_arguments = _device_arguments(values, "projector", before[1]) | {
         "flux_w": values.number("flux_w", 1.0),
         "bit_depth": values.whole("bit_depth_projector", 8) or None,
         "gamma": values.number("gamma_projector", 1.0),

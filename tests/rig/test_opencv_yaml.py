@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
+from slbench.core.io import read_opencv_yaml
 from slbench.rig import Camera, DesignVariables, Lens, Projector, Rig
 from slbench.rig.opencv import read_rig, write_rig
 
@@ -220,6 +221,8 @@ BAD = [
     ("aperture_radius_mm_projector", "wide"),
     ("focus_distance_mm_camera", 0.0),
     ("focus_distance_mm_projector", -3.0),
+    ("focus_distance_mm_camera", -np.inf),
+    ("focus_distance_mm_camera", "far"),
     ("body_mm_camera", np.array([50.0, 40.0])),
     ("body_mm_projector", np.array([50.0, -40.0, 70.0])),
     ("lens_camera", "fisheye"),
@@ -256,6 +259,33 @@ def test_a_needed_entry_of_another_structure_is_named(key, entry, tmp_path):
         stream.write(f"{key}: {entry}\n")
     with pytest.raises(InputError, match=rf"rig.yml: {key}: .*a list, a map"):
         read_rig(path)
+
+
+class TestFocus:
+    """A lens with an aperture in a file that states no focus distance."""
+
+    def test_is_on_the_world_s_origin(self, tmp_path):
+        path = tmp_path / "rig.yml"
+        write_rig(path, RIG)
+        values = {k: v for k, v in read_opencv_yaml(path).items() if "focus_distance" not in k}
+        rig = read_rig(written(path, values))
+        for device in (rig.camera, rig.projector):
+            (depth,) = device.pose.to_local(np.zeros((1, 3)))[:, 2]
+            assert device.lens.focus_distance_mm == pytest.approx(depth, rel=1e-12)
+        # The camera looks at the origin, so that it is seen sharp.
+        assert rig.camera.circle_of_confusion(np.zeros(3)) < 1e-9
+
+    def test_at_infinity_is_said_where_the_origin_is_the_camera(self, tmp_path):
+        values = plain() | {"aperture_radius_mm_camera": 2.0, "aperture_radius_mm_projector": 2.0}
+        with pytest.warns(InputWarning, match="focus_distance_mm_.*in focus at infinity") as said:
+            rig = read_rig(written(tmp_path / "rig.yml", values))
+        assert len(said) == 2
+        assert rig.camera.lens.focus_distance_mm == rig.projector.lens.focus_distance_mm == np.inf
+
+    def test_at_infinity_comes_back(self, tmp_path):
+        far = replace(RIG.camera, lens=Lens(16.0, 2.0))
+        write_rig(tmp_path / "rig.yml", replace(RIG, cameras={"camera": far}))
+        assert read_rig(tmp_path / "rig.yml").camera.lens.focus_distance_mm == np.inf
 
 
 def test_a_telecentric_lens_needs_its_focus_distance(tmp_path):
