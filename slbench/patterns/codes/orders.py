@@ -16,11 +16,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
 
 from slbench.core.errors import InputError
+from slbench.core.threads import in_bands
 from slbench.core.validation.types import FringeCount, Shifts
 from slbench.patterns.base import (
     Axis,
@@ -79,34 +81,35 @@ class PhaseCodedOrders(MatchedCode):
         code = run.parts[0].code
         if len(run.parts) > 1 or axis in found or not isinstance(code, PhaseCodedOrders):
             return super().decode_run(run, observed, found)
-        from slbench.patterns.kernels.periodic import in_quadrature
+        from slbench.patterns.kernels.blocks import LEAST
+        from slbench.patterns.kernels.periodic import in_quadrature, on_steps
 
         rows = np.array(run.parts[0].frames, np.int64)
         shift = 2.0 * np.pi * np.arange(len(rows)) / len(rows)
         weights = np.stack([2.0 * np.sin(shift), 2.0 * np.cos(shift), np.ones(len(rows))], axis=1)
-        turns, sigma, modulation, mean = in_quadrature(
+        place, sigma, modulation, mean = in_quadrature(
             observed.pixels, rows, weights / len(rows), observed.noise
         )
         steps = code._steps(extent(observed.panel, axis))
         first, stop = np.searchsorted(steps, [np.arange(code.count), np.arange(code.count) + 1])
-        with np.errstate(invalid="ignore"):
-            own = np.nan_to_num(turns * code.count).astype(np.int64).clip(0, code.count - 1)
-            off = turns - (own + 0.5) / code.count
-            across = np.minimum(turns, 1.0 - turns) + 0.5 / code.count  # to the other end's step
-            sure = across**2 - off**2 > AMBIGUOUS * sigma**2
-            noise = np.sqrt(observed.noise.variance(mean.astype(np.float64)))
-            lit = modulation >= np.maximum(observed.min_modulation, observed.min_snr * noise)
+        mask = np.empty(len(place), np.bool_)
+        limits = np.array([observed.min_modulation, observed.min_snr, AMBIGUOUS])
+        given = (place, sigma, modulation, mean, observed.noise.coefficients, limits)
+        cells = (0.5 * (first + stop - 1), (stop - first) / np.sqrt(12.0))
+        in_bands(partial(on_steps, *given, *cells, mask), len(place), LEAST)
         dropped = None
         if observed.keep_evidence:
-            dropped = np.select([~lit, ~sure], [Rule.MODULATION, Rule.OTHER]).astype(np.uint8)
+            noise = np.sqrt(observed.noise.variance(mean.astype(np.float64)))
+            lit = modulation >= np.maximum(observed.min_modulation, observed.min_snr * noise)
+            dropped = np.select([mask, ~lit], [Rule.KEPT, Rule.MODULATION], Rule.OTHER)
         return {
             axis: Found(
-                coordinate=(0.5 * (first + stop - 1))[own],
-                sigma=((stop - first) / np.sqrt(12.0))[own],
+                coordinate=place,
+                sigma=sigma,
                 modulation=modulation,
                 mean=mean,
-                mask=lit & sure,
-                dropped=dropped,
+                mask=mask,
+                dropped=None if dropped is None else dropped.astype(np.uint8),
             )
         }
 

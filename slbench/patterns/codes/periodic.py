@@ -116,48 +116,50 @@ class PeriodicCode(Code):
     ) -> dict[Axis, Found]:
         """Decode the codes of the run, each unwrapped from the one before."""
         from slbench.patterns.kernels.blocks import LEAST, most_unsaturated
-        from slbench.patterns.kernels.periodic import conclude, judge, search, unwrap
+        from slbench.patterns.kernels.periodic import resolve
 
         (axis,) = run.axes
         size = extent(observed.panel, axis)
-        frames, count = observed.pixels, observed.pixels.shape[1]
+        frames, pixels = observed.pixels, observed.pixels.shape[1]
         parts = sorted(run.parts, key=lambda placed: cast(Self, placed.code).count)
-        faults = np.zeros(count, np.uint8)
+        faults, none = np.zeros(pixels, np.uint8), np.empty(0)
         most = frames.dtype.type(most_unsaturated(observed.saturation, frames.dtype))
-        rows = np.array(run.searched, np.int64)
-        in_bands(partial(search, frames, rows, most, faults), count, LEAST)
+        searched = np.array(run.searched, np.int64)
         limits = np.array([observed.min_modulation, observed.min_snr])
         coarser = found.get(axis)
         closed = coarser is None and all(cast(Self, p.code).count % 1.0 == 0.0 for p in parts)
-        # What is known before: (value + shift) periods of the panel, and half a cell by deviations.
-        before = None
+        # What is known before, of the panel: scale and shift, and half a cell by deviations.
+        before, deviation, known = none, none, np.zeros(3)
         if coarser is not None:
-            sigma = np.require(coarser.sigma, requirements="C")
-            before = (coarser.coordinate, 1.0 / size, 0.5, sigma, np.sqrt(3.0) / size)
+            before, deviation = coarser.coordinate, np.require(coarser.sigma, requirements="C")
+            known = np.array([1.0 / size, 0.5, np.sqrt(3.0) / size])
         evidence: dict[int, dict[str, AnyFloatArray]] = {}
         for placed in parts:
             code = cast(Self, placed.code)
             own = code.estimate(placed, observed)
             turns, sigma = (np.require(a, np.float64, ["C", "W"]) for a in (own.turns, own.sigma))
-            given = (own.modulation, own.mean, sigma, observed.noise.coefficients, limits, faults)
-            in_bands(partial(judge, *given), count, LEAST)
-            if before is not None:
-                value, scale, shift, deviation, wide = before
-                coarse = (value, code.count * scale, shift, deviation, code.count * wide)
-                residual = np.empty(count if observed.keep_evidence else 0)
-                rest = (observed.max_order_residual, residual, faults)
-                in_bands(partial(unwrap, turns, *coarse, *rest), count, LEAST)
-                if observed.keep_evidence:
-                    evidence[placed.index] = {"order_residual": residual}
-            else:
+            last = placed is parts[-1]
+            mask = np.empty(pixels if last else 0, np.bool_)
+            panel = np.array([code.count, size, END_SIGMAS, closed], np.float64)
+            estimate = (turns, sigma, own.modulation, own.mean)
+            given = (frames, searched, most, *estimate, observed.noise.coefficients, limits)
+            if not len(before):
                 turns -= np.floor(turns)
                 if code.count > 1.0:  # unwrap = "spatial", by check_run
+                    judged = (*given, none, none, np.zeros(4), none, panel, faults, none)
+                    in_bands(partial(resolve, *judged), pixels, LEAST)
                     good = (faults == 0) & ~saturated(placed, observed)
-                    turns = _by_neighbours(turns, good, observed.shape, code.count)
-            before = (turns, 1.0 / code.count, 0.0, sigma, 0.0)
-        mask = np.empty(count, np.bool_)
-        last = (turns, sigma, code.count, closed, END_SIGMAS, float(size), faults, mask)
-        in_bands(partial(conclude, *last), count, LEAST)
+                    turns[:] = _by_neighbours(turns, good, observed.shape, code.count)
+            keep = observed.keep_evidence and len(before) > 0
+            residual = np.empty(pixels if keep else 0)
+            relation = np.array([*known, 0.0]) * [code.count, 1.0, code.count, 1.0]
+            relation[3] = observed.max_order_residual
+            rest = (before, deviation, relation, residual, panel, faults, mask)
+            in_bands(partial(resolve, *given, *rest), pixels, LEAST)
+            if keep:
+                evidence[placed.index] = {"order_residual": residual}
+            searched = searched[:0]
+            before, deviation, known = turns, sigma, np.array([1.0 / code.count, 0.0, 0.0])
         return {
             axis: Found(
                 coordinate=turns,

@@ -41,7 +41,8 @@ def in_quadrature(
     noise : NoiseModel
     """
     found = _empty(pixels.shape[1])
-    given = (pixels, rows, weights, noise.coefficients, *found)
+    padded = np.pad(weights, ((0, -len(rows) % 3), (0, 0)))
+    given = (pixels, rows, padded, noise.coefficients, *found)
     in_bands(lambda first, last: _quadrature(*given, first, last), pixels.shape[1], LEAST)
     return found
 
@@ -84,38 +85,54 @@ def _quadrature(
     alpha, beta, offset = noise[0], noise[1], noise[2]
     scratch = np.empty((4, BLOCK + PAD))
     sine, cosine, total, variance = scratch[0], scratch[1], scratch[2], scratch[3]
+    last = rows.shape[0] - 1
     for start in range(begin, end, BLOCK):
         n = min(BLOCK, end - start)
+        stop = start + n
         for i in range(n):
             sine[i] = 0.0
             cosine[i] = 0.0
             total[i] = 0.0
             variance[i] = 0.0
-        for k in range(rows.shape[0]):
-            row = frames[rows[k], start : start + n]
-            s, c, m = weights[k, 0], weights[k, 1], weights[k, 2]
+        # Three frames at a time: a third of the traffic of the sums.  Weights go on as zeros.
+        for k in range(0, rows.shape[0], 3):
+            row0 = frames[rows[k], start:stop]
+            row1 = frames[rows[min(k + 1, last)], start:stop]
+            row2 = frames[rows[min(k + 2, last)], start:stop]
+            s0, c0, m0 = weights[k, 0], weights[k, 1], weights[k, 2]
+            s1, c1, m1 = weights[k + 1, 0], weights[k + 1, 1], weights[k + 1, 2]
+            s2, c2, m2 = weights[k + 2, 0], weights[k + 2, 1], weights[k + 2, 2]
             for i in range(n):
-                value = np.float64(row[i])
-                sine[i] += s * value
-                cosine[i] += c * value
-                total[i] += m * value
+                a, b, c = np.float64(row0[i]), np.float64(row1[i]), np.float64(row2[i])
+                sine[i] += s0 * a + s1 * b + s2 * c
+                cosine[i] += c0 * a + c1 * b + c2 * c
+                total[i] += m0 * a + m1 * b + m2 * c
+        own_mean, own_modulation = mean[start:stop], modulation[start:stop]
+        own_turns, own_sigma = turns[start:stop], sigma[start:stop]
         for i in range(n):
-            mean[start + i] = total[i]
-        for i in range(n):
+            own_mean[i] = total[i]
             total[i] = math.sqrt(sine[i] * sine[i] + cosine[i] * cosine[i])
         for i in range(n):
-            modulation[start + i] = total[i]
+            own_modulation[i] = total[i]
         for i in range(n):
-            turns[start + i] = TURN * angle(sine[i], cosine[i])
-        for k in range(rows.shape[0]):
-            row = frames[rows[k], start : start + n]
-            s, c = weights[k, 0], weights[k, 1]
+            own_turns[i] = TURN * angle(sine[i], cosine[i])
+        for k in range(0, rows.shape[0], 3):
+            row0 = frames[rows[k], start:stop]
+            row1 = frames[rows[min(k + 1, last)], start:stop]
+            row2 = frames[rows[min(k + 2, last)], start:stop]
+            s0, c0 = weights[k, 0], weights[k, 1]
+            s1, c1 = weights[k + 1, 0], weights[k + 1, 1]
+            s2, c2 = weights[k + 2, 0], weights[k + 2, 1]
             for i in range(n):
-                own = alpha + beta * max(np.float64(row[i]) - offset, 0.0)
-                part = s * cosine[i] - c * sine[i]
-                variance[i] += own * part * part
+                a = alpha + beta * max(np.float64(row0[i]) - offset, 0.0)
+                b = alpha + beta * max(np.float64(row1[i]) - offset, 0.0)
+                c = alpha + beta * max(np.float64(row2[i]) - offset, 0.0)
+                x = s0 * cosine[i] - c0 * sine[i]
+                y = s1 * cosine[i] - c1 * sine[i]
+                z = s2 * cosine[i] - c2 * sine[i]
+                variance[i] += a * x * x + b * y * y + c * z * z
         for i in range(n):
-            sigma[start + i] = TURN * math.sqrt(variance[i]) / (total[i] * total[i])
+            own_sigma[i] = TURN * math.sqrt(variance[i]) / (total[i] * total[i])
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -125,26 +142,33 @@ def _trapezoids(
 ) -> None:  # fmt: skip
     alpha, beta, offset = noise[0], noise[1], noise[2]
     third = 1.0 / 3.0
-    for i in range(begin, end):
-        a, b, c = np.float64(frames[0, i]), np.float64(frames[1, i]), np.float64(frames[2, i])
-        high, low = max(max(a, b), c), min(min(a, b), c)
-        middle = max(min(a, b), min(max(a, b), c))
-        span = high - low
-        ratio = (middle - low) / span
-        # The lit frame says in which third, the next bright one on which side of its middle.
-        lit = 0.0 if high == a else (1.0 if high == b else 2.0)
-        after = b if high == a else (c if high == b else a)
-        side = 1.0 if after == middle else -1.0
-        turns[i] = lit * third + side * ratio / 6.0
-        v_low = alpha + beta * max(low - offset, 0.0)
-        v_middle = alpha + beta * max(middle - offset, 0.0)
-        v_high = alpha + beta * max(high - offset, 0.0)
-        rest = 1.0 - ratio
-        total = v_middle + rest * rest * v_low + ratio * ratio * v_high
-        sigma[i] = math.sqrt(total) / (6.0 * span)
-        modulation[i] = 0.5 * span
-        # A value that is no number may not be lost among comparisons.
-        mean[i] = third * (a + b + c)
+    for start in range(begin, end, BLOCK):
+        n = min(BLOCK, end - start)
+        stop = start + n
+        row0, row1, row2 = frames[0, start:stop], frames[1, start:stop], frames[2, start:stop]
+        own_mean, own_modulation = mean[start:stop], modulation[start:stop]
+        own_turns, own_sigma = turns[start:stop], sigma[start:stop]
+        for i in range(n):
+            a, b, c = np.float64(row0[i]), np.float64(row1[i]), np.float64(row2[i])
+            high, low = max(max(a, b), c), min(min(a, b), c)
+            middle = max(min(a, b), min(max(a, b), c))
+            span = high - low
+            ratio = (middle - low) / span
+            # The lit frame says in which third, the next bright one on which side of its middle.
+            lit = 0.0 if high == a else (third if high == b else 2.0 * third)
+            after = b if high == a else (c if high == b else a)
+            at = lit + (ratio if after == middle else -ratio) / 6.0
+            own_turns[i] = at + 1.0 if at < 0.0 else at
+            v_low = alpha + beta * max(low - offset, 0.0)
+            v_middle = alpha + beta * max(middle - offset, 0.0)
+            v_high = alpha + beta * max(high - offset, 0.0)
+            rest = 1.0 - ratio
+            total = v_middle + rest * rest * v_low + ratio * ratio * v_high
+            own_sigma[i] = math.sqrt(total) / (6.0 * span)
+        for i in range(n):
+            a, b, c = np.float64(row0[i]), np.float64(row1[i]), np.float64(row2[i])
+            own_modulation[i] = 0.5 * (max(max(a, b), c) - min(min(a, b), c))
+            own_mean[i] = third * (a + b + c)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -155,60 +179,76 @@ def _carrier(
     alpha, beta, offset = noise[0], noise[1], noise[2]
     n_delta, n_theta = delta.shape[1], theta.shape[1]
     count = n_delta * n_theta
-    scratch = np.empty((10, BLOCK + PAD))
+    scratch = np.empty((13, BLOCK + PAD))
     total, u, v = scratch[0], scratch[1], scratch[2]
     cu, cv, su, sv = scratch[3], scratch[4], scratch[5], scratch[6]
     sine, cosine, variance = scratch[7], scratch[8], scratch[9]
+    plain, x, y = scratch[10], scratch[11], scratch[12]
     for start in range(begin, end, BLOCK):
         n = min(BLOCK, end - start)
-        for r in range(7):
-            row_of_sums = scratch[r]
+        stop = start + n
+        for r in range(10):
+            zeroed = scratch[r]
             for i in range(n):
-                row_of_sums[i] = 0.0
-        for k in range(count):
-            row = frames[k, start : start + n]
-            i_delta, i_theta = k // n_theta, k % n_theta
-            c, s = delta[0, i_delta], delta[1, i_delta]
-            p, q = theta[0, i_theta], theta[1, i_theta]
-            cp, cq, sp, sq = c * p, c * q, s * p, s * q
+                zeroed[i] = 0.0
+        for k in range(n_delta):
             for i in range(n):
-                value = np.float64(row[i])
-                total[i] += value
-                u[i] += p * value
-                v[i] += q * value
-                cu[i] += cp * value
-                cv[i] += cq * value
-                su[i] += sp * value
-                sv[i] += sq * value
+                plain[i] = 0.0
+                x[i] = 0.0
+                y[i] = 0.0
+            for j in range(n_theta):
+                row = frames[k * n_theta + j, start:stop]
+                p, q = theta[0, j], theta[1, j]
+                for i in range(n):
+                    value = np.float64(row[i])
+                    plain[i] += value
+                    x[i] += p * value
+                    y[i] += q * value
+            c, s = delta[0, k], delta[1, k]
+            for i in range(n):
+                total[i] += plain[i]
+                u[i] += x[i]
+                v[i] += y[i]
+            for i in range(n):
+                cu[i] += c * x[i]
+                cv[i] += c * y[i]
+                su[i] += s * x[i]
+                sv[i] += s * y[i]
+        own_mean, own_modulation = mean[start:stop], modulation[start:stop]
+        own_turns, own_sigma = turns[start:stop], sigma[start:stop]
         for i in range(n):
-            mean[start + i] = total[i] / count
+            own_mean[i] = total[i] / count
         for i in range(n):
             # cos psi and sin psi of the carrier, then b / 2 cos phi and b / 2 sin phi
-            length = math.sqrt(u[i] * u[i] + v[i] * v[i])
-            u[i] /= length
-            v[i] /= length
+            length = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i])
+            u[i] *= length
+            v[i] *= length
             cosine[i] = 4.0 / count * (u[i] * cu[i] + v[i] * cv[i])
             sine[i] = 4.0 / count * (u[i] * su[i] + v[i] * sv[i])
         for i in range(n):
-            turns[start + i] = TURN * angle(sine[i], cosine[i])
+            own_turns[i] = TURN * angle(sine[i], cosine[i])
         for i in range(n):
             total[i] = math.sqrt(sine[i] * sine[i] + cosine[i] * cosine[i])
             cosine[i] /= total[i]
             sine[i] /= total[i]
-            variance[i] = 0.0
-        for k in range(count):
-            row = frames[k, start : start + n]
-            i_delta, i_theta = k // n_theta, k % n_theta
-            c, s = delta[0, i_delta], delta[1, i_delta]
-            p, q = theta[0, i_theta], theta[1, i_theta]
+        for k in range(n_delta):
             for i in range(n):
-                own = alpha + beta * max(np.float64(row[i]) - offset, 0.0)
-                part = (sine[i] * c - cosine[i] * s) * (u[i] * p + v[i] * q)
-                variance[i] += own * part * part
+                plain[i] = 0.0
+            for j in range(n_theta):
+                row = frames[k * n_theta + j, start:stop]
+                p, q = theta[0, j], theta[1, j]
+                for i in range(n):
+                    own = alpha + beta * max(np.float64(row[i]) - offset, 0.0)
+                    part = u[i] * p + v[i] * q
+                    plain[i] += own * part * part
+            c, s = delta[0, k], delta[1, k]
+            for i in range(n):
+                part = sine[i] * c - cosine[i] * s
+                variance[i] += plain[i] * part * part
         for i in range(n):
-            sigma[start + i] = TURN * 4.0 / count * math.sqrt(variance[i]) / total[i]
+            own_sigma[i] = TURN * 4.0 / count * math.sqrt(variance[i]) / total[i]
         for i in range(n):
-            modulation[start + i] = 2.0 * total[i]
+            own_modulation[i] = 2.0 * total[i]
 
 
 #: Faults of a pixel: saturated or no number, too dim, a place too coarse for the periods, a
@@ -216,119 +256,153 @@ def _carrier(
 SATURATED, DIM, COARSE, ORDER, END = 1, 2, 4, 8, 16
 
 
-@njit(cache=True, nogil=True)
-def search(frames: Any, rows: Any, most: Any, faults: Any, begin: int, end: int) -> None:
-    """Add :data:`SATURATED` to pixels with a value above `most`, or none that is a number.
-
-    Parameters
-    ----------
-    frames : (F, P)
-    rows : (K,) int64
-        The frames to search.
-    most : of the frames' type
-    faults : (P,) uint8
-    """
-    for k in range(rows.shape[0]):
-        row = frames[rows[k]]
-        for i in range(begin, end):
-            faults[i] |= np.uint8(0) if row[i] <= most else np.uint8(SATURATED)
+@njit(fastmath=FAST, error_model="numpy")
+def _search(row: Any, most: Any, faults: Any, n: int) -> None:
+    """Add :data:`SATURATED` where a value is above `most`, or no number."""
+    for i in range(n):
+        faults[i] |= np.uint8(0) if row[i] <= most else np.uint8(SATURATED)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def judge(
-    modulation: Any, mean: Any, sigma: Any, noise: Any, limits: Any, faults: Any,
-    begin: int, end: int,
-) -> None:  # fmt: skip
-    """Add :data:`DIM` to pixels with too little modulation.
-
-    Parameters
-    ----------
-    modulation, mean, sigma : (P,) float32 or float64
-    noise : (3,) float64
-        Constant variance, gain, offset.
-    limits : (2,) float64
-        Least modulation, and its least ratio to the noise.
-    faults : (P,) uint8
-    """
+@njit(fastmath=FAST, error_model="numpy")
+def _judge(
+    modulation: Any, mean: Any, sigma: Any, noise: Any, limits: Any, faults: Any, n: int
+) -> None:
+    """Add :data:`DIM` where there is too little modulation."""
     alpha, beta, offset = noise[0], noise[1], noise[2]
     least, ratio = limits[0], limits[1]
-    for i in range(begin, end):
-        deviation = math.sqrt(alpha + beta * max(np.float64(mean[i]) - offset, 0.0))
-        lit = (modulation[i] >= least) & (modulation[i] >= ratio * deviation)
+    for i in range(n):
+        variance = alpha + beta * max(np.float64(mean[i]) - offset, 0.0)
+        contrast = np.float64(modulation[i])
+        lit = (contrast >= least) & (contrast * contrast >= ratio * ratio * variance)
         faults[i] |= np.uint8(0) if lit & (abs(sigma[i]) < np.inf) else np.uint8(DIM)
 
 
-@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def unwrap(
-    turns: Any, coarse: Any, scale: float, shift: float, deviation: Any, wide: float,
-    limit: float, residual: Any, faults: Any, begin: int, end: int,
-) -> None:  # fmt: skip
-    """Unwrap turns in place from a coarser code, which may add faults.
-
-    Parameters
-    ----------
-    turns : (P,) float64
-        In any turn.
-    coarse, deviation : (P,) float64
-        What the coarser code has found, and its deviation.
-    scale, shift : float
-        Turns are ``scale (coarse + shift)``.
-    wide : float
-        Half the cell of the coarser code, turns, over its deviation.
-    limit : float
-        Largest residual of an order, turns.
-    residual : (P,) float64
-        Order less the whole number it is rounded to, or shape (0,); written.
-    faults : (P,) uint8
-    """
-    keep = residual.shape[0] > 0
-    for i in range(begin, end):
+@njit(fastmath=FAST, error_model="numpy")
+def _unwrap(
+    turns: Any, coarse: Any, deviation: Any, relation: Any, residual: Any, faults: Any, n: int
+) -> None:
+    """Unwrap turns in place from a coarser code."""
+    scale, shift, wide, limit = relation[0], relation[1], relation[2], relation[3]
+    for i in range(n):
         own = turns[i] - math.floor(turns[i])
         exact = scale * (coarse[i] + shift) - own
         order = math.floor(exact + 0.5)
-        off = exact - order
+        residual[i] = exact - order
+        turns[i] = order + own
+    for i in range(n):
         slack = wide * deviation[i]
         fault = np.uint8(COARSE) if slack > 0.5 + 1e-9 else np.uint8(0)
-        fault |= np.uint8(0) if abs(off) <= limit + slack else np.uint8(ORDER)
-        faults[i] |= fault
-        turns[i] = order + own
-        if keep:
-            residual[i] = off
+        faults[i] |= fault | (np.uint8(0) if abs(residual[i]) <= limit + slack else np.uint8(ORDER))
+
+
+@njit(fastmath=FAST, error_model="numpy")
+def _conclude(turns: Any, sigma: Any, panel: Any, faults: Any, mask: Any, n: int) -> None:
+    """Make turns and their deviations panel pixels, in place, NaN where there is a fault."""
+    count, size, margin, closed = panel[0], panel[1], panel[2], panel[3] > 0.0
+    sign = 1.0 if closed else -1.0
+    around = 1.0 if closed else 0.0
+    pixels = size / count
+    for i in range(n):
+        at = turns[i] - around * count * math.floor(turns[i] / count)
+        near = sign * margin * sigma[i]
+        within = (at >= near) & (at <= count - near)
+        faults[i] |= np.uint8(0) if within else np.uint8(END)
+        turns[i] = at
+    for i in range(n):
+        turns[i] = pixels * turns[i] - 0.5 if faults[i] == 0 else np.nan
+    for i in range(n):
+        sigma[i] = pixels * sigma[i] if faults[i] == 0 else np.nan
+    for i in range(n):
+        mask[i] = faults[i] == 0
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
-def conclude(
-    turns: Any, sigma: Any, count: float, closed: bool, margin: float, size: float, faults: Any,
-    mask: Any, begin: int, end: int,
+def resolve(
+    frames: Any, rows: Any, most: Any, turns: Any, sigma: Any, modulation: Any, mean: Any,
+    noise: Any, limits: Any, coarse: Any, deviation: Any, relation: Any, residual: Any,
+    panel: Any, faults: Any, mask: Any, begin: int, end: int,
 ) -> None:  # fmt: skip
-    """Make turns and their deviations panel pixels, in place, NaN where a pixel has a fault.
+    """Tell periods apart by a coarser code, and say which pixels are lost.
+
+    Parameters
+    ----------
+    frames, rows, most : (F, P), (K,) int64, of the frames' type
+        Those of `rows` are searched for values above `most`, and such that are no number.
+    turns, sigma : (P,) float64
+        In any turn; turns are unwrapped in place.
+    modulation, mean : (P,) float32 or float64
+    noise : (3,) float64
+        :attr:`NoiseModel.coefficients`.
+    limits : (2,) float64
+        Least modulation, and its least ratio to the noise.
+    coarse, deviation : (P,) float64
+        What a coarser code has found, and its deviation; shape (0,) where there is none.
+    relation : (4,) float64
+        Turns are ``relation[0] * (coarse + relation[1])``; half a cell of the coarser code, turns,
+        is ``relation[2]`` deviations; largest residual of an order, turns.
+    residual : (P,) float64
+        Order less the whole number it is rounded to, or shape (0,) where it is not wanted; written.
+    panel : (4,) float64
+        Periods and pixels of the panel; deviations about its ends within which they are not told
+        apart; 1 where it is a circle, whose ends are one place.
+    faults : (P,) uint8
+        Added to.
+    mask : (P,) bool
+        Where there is no fault, or shape (0,) before the last code.  Written, and turns and sigma
+        are made pixels, NaN outside it.
+    """
+    spare = np.empty(BLOCK + PAD)
+    for start in range(begin, end, BLOCK):
+        n = min(BLOCK, end - start)
+        stop = start + n
+        own, place, deviations = faults[start:stop], turns[start:stop], sigma[start:stop]
+        for k in range(rows.shape[0]):
+            _search(frames[rows[k], start:stop], most, own, n)
+        _judge(modulation[start:stop], mean[start:stop], deviations, noise, limits, own, n)
+        if coarse.shape[0] > 0:
+            rest = residual[start:stop] if residual.shape[0] > 0 else spare
+            before = coarse[start:stop]
+            _unwrap(place, before, deviation[start:stop], relation, rest, own, n)
+        if mask.shape[0] > 0:
+            _conclude(place, deviations, panel, own, mask[start:stop], n)
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def on_steps(
+    turns: Any, sigma: Any, modulation: Any, mean: Any, noise: Any, limits: Any,
+    middle: Any, spread: Any, mask: Any, begin: int, end: int,
+) -> None:  # fmt: skip
+    """Make phases of a stair the middles of its steps and their deviations, in place.
 
     Parameters
     ----------
     turns, sigma : (P,) float64
-    count : float
-        Periods across the panel.
-    closed : bool
-        Whether the panel is a circle: its ends are one place.
-    margin : float
-        Deviations about an end within which it is not told from the other.
-    size : float
-        Pixels of the panel.
-    faults : (P,) uint8
-        Those found so far; :data:`END` is added.
+        In [0, 1).
+    modulation, mean : (P,) float32
+    noise : (3,) float64
+    limits : (3,) float64
+        Least modulation, its least ratio to the noise, and the least difference of the squared
+        distances, in deviations, from the two steps that are neighbours across the ends.
+    middle, spread : (K,) float64
+        Of each step, px.
     mask : (P,) bool
-        Written: where there is no fault.
+        Written: where a pixel is lit, and on one step for sure.
     """
-    sign = 1.0 if closed else -1.0
-    pixels = size / count
-    for i in range(begin, end):
-        at = turns[i]
-        if closed:
-            at -= count * math.floor(at / count)
-        near = sign * margin * sigma[i]
-        within = (at >= near) & (at <= count - near)
-        faults[i] |= np.uint8(0) if within else np.uint8(END)
-        good = faults[i] == 0
-        turns[i] = pixels * at - 0.5 if good else np.nan
-        sigma[i] = pixels * sigma[i] if good else np.nan
-        mask[i] = good
+    alpha, beta, offset = noise[0], noise[1], noise[2]
+    count = middle.shape[0]
+    for start in range(begin, end, BLOCK):
+        n = min(BLOCK, end - start)
+        stop = start + n
+        place, deviation = turns[start:stop], sigma[start:stop]
+        contrast, level, good = modulation[start:stop], mean[start:stop], mask[start:stop]
+        for i in range(n):
+            at = place[i] if place[i] == place[i] else 0.0
+            own = min(max(int(at * count), 0), count - 1)
+            off = at - (own + 0.5) / count
+            across = min(at, 1.0 - at) + 0.5 / count  # to the other end's step
+            sure = across * across - off * off > limits[2] * deviation[i] * deviation[i]
+            noisy = math.sqrt(alpha + beta * max(np.float64(level[i]) - offset, 0.0))
+            lit = (contrast[i] >= limits[0]) & (contrast[i] >= limits[1] * noisy)
+            place[i] = middle[own]
+            deviation[i] = spread[own]
+            good[i] = lit & sure
