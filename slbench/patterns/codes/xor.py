@@ -3,7 +3,11 @@
 M. Gupta, A. Agrawal, A. Veeraraghavan, S. G. Narasimhan, "Structured light 3D scanning in the
 presence of global illumination", CVPR 2011.  Wide stripes of a Gray code light wide parts of a
 scene, which light others.  Here each frame is the exclusive or of a bit with a frame of narrow
-stripes, so that all stripes are narrow and reflected light is an even half of the panel's.
+stripes, so that all stripes are narrow and reflected light is an even half of the panel's.  Bits
+that are finer than those stripes are narrow as they are, and stay.
+
+At an edge of the narrow stripes all frames but those turn over.  A pixel that sees as much of
+either side sees none of the coarser bits, and is not decoded.
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from slbench.patterns.matching import MatchedCode
 
 @dataclass(frozen=True)
 class XorCode(MatchedCode):
-    """A Gray code of columns, each bit but the base's combined with it by exclusive or.
+    """A Gray code of columns, each bit that is coarser than the base combined with it.
 
     Each bit is followed by its inverse: all code vectors then have one mean and one length, and
     the most similar is the most likely.
@@ -53,7 +57,7 @@ class XorCode(MatchedCode):
         column = np.arange(size)
         code = column ^ (column >> 1)
         lit = code >> (bits - 1 - bit)
-        if bit != base:
+        if bit < base:
             lit = lit ^ (code >> (bits - 1 - base))
         return ((lit & 1) ^ inverted).astype(np.float64)
 

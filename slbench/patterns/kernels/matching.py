@@ -176,7 +176,8 @@ LEAST_CURVATURE = 0.2
 @njit(cache=True, nogil=True)
 def refine(
     pixels: Any, pieces: Any, groups: Any, offsets: Any, reach: Any, noise: Any,
-    best: Any, place: Any, information: Any, gain: Any, residual: Any, start: int, stop: int,
+    best: Any, place: Any, information: Any, gain: Any, residual: Any, whole_place: Any,
+    start: int, stop: int,
 ) -> None:  # fmt: skip
     """Refine the best places below a pixel, and find how well they are known.
 
@@ -196,6 +197,8 @@ def refine(
         Written: the refined place, and the inverse of its variance, px^-2.
     gain, residual : (P,) float64
         Written: the least gain, and the sum of squared residuals over their variances.
+    whole_place : (P,) float64
+        Written: that sum at the best place itself.
     """
     n_frames = pixels.shape[0]
     n_gains, n_offsets = groups.max() + 1, offsets.max() + 1
@@ -214,7 +217,7 @@ def refine(
         allowed = reach[best[p]]
         x = centre
         fisher, curvature = 0.0, 1.0
-        for _ in range(12):
+        for step_number in range(12):
             piece = min(int(max(x, 0.0)), pieces.shape[0] - 1)
             t = x - piece
             for k in range(n_frames):
@@ -264,6 +267,8 @@ def refine(
             for k in range(n_frames):
                 total += rest[k] ** 2
             residual[p] = total
+            if step_number == 0:
+                whole_place[p] = total
             whole, turned = 0.0, 0.0
             for k in range(n_frames):
                 factor = root[k] * solution[n_offsets + groups[k]]

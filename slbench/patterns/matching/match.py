@@ -100,9 +100,10 @@ def match(
     coefficients = noise.coefficients
     coefficients[0] = max(coefficients[0], 1e-12)
     coordinate, information = np.empty(count), np.empty(count)
-    gain, squares = np.empty(count), np.empty(count)
+    gain, squares, at_whole = np.empty(count), np.empty(count), np.empty(count)
     given = (frames, vectors.pieces(), vectors.gains, vectors.offsets, reach, coefficients, best)
-    in_bands(partial(refine, *given, coordinate, information, gain, squares), count, 1 << 10)
+    written = (coordinate, information, gain, squares, at_whole)
+    in_bands(partial(refine, *given, *written), count, 1 << 10)
     with np.errstate(divide="ignore", invalid="ignore"):
         at_edge = edged[best]
         own = np.where(at_edge & ~(information > 0.0), 0.0, 1.0 / information)
@@ -116,7 +117,10 @@ def match(
         stated = noise.variance(mean)
         freedom = vectors.freedom
         measured = stated * squares / freedom if freedom > 0 else np.full(count, np.nan)
-        doubt = np.fmax(stated, measured)
+        # Where all frames turn over from one place to the next (exclusive or), what is between them
+        # shows neither, and fits every such edge: a pixel is held against the place itself.
+        left = np.where(at_edge, at_whole, squares)
+        doubt = np.fmax(stated, stated * left / freedom if freedom > 0 else np.nan)
         sure = (energy - rival) > AMBIGUOUS * doubt
         return Matched1D(
             coordinate=coordinate,
