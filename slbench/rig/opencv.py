@@ -30,7 +30,7 @@ from slbench.rig.device import Camera, Projector
 from slbench.rig.doubts import rig_doubts
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose
-from slbench.rig.rig import ALONE, Pair, Rig
+from slbench.rig.rig import ALONE, LEAST_DEPTH_MM, Pair, Rig
 
 #: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel
 #: depend on it; rays do not.
@@ -262,9 +262,8 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
         camera_pose.rotation @ relative.rotation, camera_pose.to_world(relative.position)
     )
     volume = values.array("volume_mm", (3,), [60.0, 70.0, 30.0])
-    # The origin's depths before the devices.
-    depths = [float(-pose.position @ pose.rotation[:, 2]) for pose in (camera_pose, projector_pose)]
-    before = depths if min(depths) > 0.0 else (None, None)
+    depths = (camera_pose.origin_depth, projector_pose.origin_depth)
+    before = depths if min(depths) > LEAST_DEPTH_MM else (None, None)
     camera_arguments = _device_arguments(values, "camera", before[0]) | {
         "fill_factor": values.number("fill_factor_camera", 1.0)
     }

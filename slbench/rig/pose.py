@@ -102,6 +102,11 @@ class Pose:
         """Map world points (..., 3) to local points (..., 3)."""
         return product(np.asarray(points, dtype=np.float64) - self.position, self.rotation)
 
+    @property
+    def origin_depth(self) -> float:
+        """How far along its z the world's origin lies, mm: before a device where it is positive."""
+        return float(-self.position @ self.rotation[:, 2])
+
     @classmethod
     def looking_at(cls, position: ArrayLike, target: ArrayLike, down: ArrayLike) -> Self:
         """Return the pose of a device at `position` aimed at `target`.

@@ -115,6 +115,9 @@ class Pair(NamedTuple):
 #: Devices that a rig's ``repr`` has lines for.
 _SHOWN_DEVICES = 4
 
+#: Nearer to a device than this the origin is not before it but in its lens, mm.
+LEAST_DEPTH_MM = 1e-3
+
 #: The names of a camera and a projector that have no others beside them.
 ALONE = Pair()
 
@@ -267,7 +270,8 @@ class Rig:
     def __repr__(self) -> str:
         size = numbers(self.volume_mm, " x ")
         one = len(self.pairs) == 1
-        angle = f", triangulation angle {np.rad2deg(self.angle):.1f}°" if one else ""
+        known = one and np.isfinite(self.angle)
+        angle = f", triangulation angle {np.rad2deg(self.angle):.1f}°" if known else ""
         names = list(self.devices)
         more = f"and {len(names) - _SHOWN_DEVICES} more" if len(names) > _SHOWN_DEVICES else ""
         return block(
@@ -288,11 +292,24 @@ class Rig:
 
     @property
     def angle(self) -> float:
-        """Triangulation angle: between the two lines from the origin to the devices, rad."""
+        """Triangulation angle: between the two lines from the origin to the devices, rad.
+
+        NaN where a device is at the origin.
+        """
+        if not (self.camera_distance and self.projector_distance):
+            return np.nan
         cosine = (self.camera.pose.position @ self.projector.pose.position) / (
             self.camera_distance * self.projector_distance
         )
         return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+    @property
+    def faces_origin(self) -> bool:
+        """Whether the world's origin, the middle of the volume, is before every device.
+
+        It is not where the world is the frame of a device, as in a file of ``cv2.stereoCalibrate``.
+        """
+        return all(one.pose.origin_depth > LEAST_DEPTH_MM for one in self.devices.values())
 
     @property
     def volume_corners(self) -> Array:

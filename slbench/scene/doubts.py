@@ -79,7 +79,7 @@ def speck_doubt(item: SceneObject, rig: Rig) -> str | None:
     """Question a mesh that is smaller than two pixels of the camera and fits in another unit."""
     size = float(_sizes(item).max())
     camera = rig.camera
-    pixel = _field(camera, _depth(camera, _middle(item)))[0] / camera.width
+    pixel = _field(camera, _depth(camera, item.middle))[0] / camera.width
     if not 0 < size < _SPECK_PX * pixel:
         return None
     other = fitting_unit(item, rig)
@@ -129,7 +129,7 @@ def unlit(scene: Scene) -> str:
 
 
 def _described(item: SceneObject, rig: Rig) -> str:
-    middle = _middle(item)
+    middle = item.middle
     views = []
     for name, device in (("camera", rig.camera), ("projector", rig.projector)):
         depth = _depth(device, middle)
@@ -214,11 +214,6 @@ def _sizes(item: SceneObject) -> Array:
     return np.asarray(vertices.max(axis=0) - vertices.min(axis=0))
 
 
-def _middle(item: SceneObject) -> Array:
-    vertices = item.artefact.mesh.vertices
-    return item.pose.to_world((vertices.max(axis=0) + vertices.min(axis=0)) / 2)
-
-
 def _depth(device: Device, point: Array) -> float:
     return float(device.pose.to_local(point)[2])
 
@@ -238,6 +233,6 @@ def _reference_field(item: SceneObject, rig: Rig) -> float | None:
     """
     camera = rig.camera
     focus = camera.lens.focus_distance_mm
-    depths = (_depth(camera, np.zeros(3)), focus, _depth(camera, _middle(item)))
+    depths = (_depth(camera, np.zeros(3)), focus, _depth(camera, item.middle))
     depth = next((d for d in depths if 0 < d < np.inf), None)
     return None if depth is None else float(_field(camera, depth).min())

@@ -251,7 +251,7 @@ def _rig(file: SceneTables, folder: Path) -> Rig:
         if poses[0].position[2] <= 0:
             raise InputError("rig.l_mm", "a camera in front of the reference plane", length)
     # In focus where the axis comes closest to the origin, unless the file says otherwise.
-    camera_focus, projector_focus = (float(-pose.position @ pose.rotation[:, 2]) for pose in poses)
+    camera_focus, projector_focus = (pose.origin_depth for pose in poses)
     for name, distance in (("camera", camera_focus), ("projector", projector_focus)):
         if distance <= 0:
             raise InputError(f"rig.{name}", "a device that faces the origin", "it faces away")

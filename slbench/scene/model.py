@@ -11,6 +11,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, numbers
@@ -60,6 +63,11 @@ class SceneObject(Value):
             if part not in self.artefact.parts:
                 known = ", ".join(self.artefact.parts)
                 raise InputError(f"{self.artefact.name}: materials", f"parts {known}", part)
+
+    @property
+    def middle(self) -> NDArray[np.float64]:
+        """The middle of the box about the object, along its own axes, (3,), mm in the world."""
+        return self.pose.to_world(self.artefact.mesh.bounds.mean(axis=0))
 
     def __repr__(self) -> str:
         materials = (self.material, *self.materials.values())
@@ -243,6 +251,18 @@ class Scene(Value):
         if shifts is not None and "@" in str(source):
             raise InputError(names[0], "no shifts (@) in the patterns too", source)
         return replace(self, sequence=found.sequence)
+
+    @property
+    def place(self) -> Pose:
+        """Where the measurement volume is, z towards the camera.
+
+        That is the world's frame.  Where its origin is not before the devices (the world is the
+        camera's frame) it is about the first object, turned as the camera is.
+        """
+        if self.rig.faces_origin:
+            return Pose()
+        camera = next(iter(self.rig.cameras.values())).pose
+        return Pose(camera.rotation * [1.0, -1.0, -1.0], self.objects[0].middle)
 
     @property
     def rigs(self) -> tuple[Rig, ...]:

@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 def plate_scene(scene: Scene, height_mm: float, texture_mm: float | None = None) -> Scene:
     """Return the scene with a level plate of the volume's size instead of its objects.
 
+    Heights are those of the scene's :attr:`~slbench.scene.model.Scene.place`.
     The plate has the material of the scene's first object; with a texture it is a chequerboard of
     squares of `texture_mm`, every other one of which is dark.
     """
@@ -40,8 +41,14 @@ def plate_scene(scene: Scene, height_mm: float, texture_mm: float | None = None)
     plate = objects.build_artefact(
         "plane", {"size_mm": [size[0], size[1]], "thickness_mm": 0.1 * min(size[:2])}
     )
-    pose = Pose(np.eye(3), np.array([0.0, 0.0, height_mm]))
+    pose = _level(scene, height_mm)
     return replace(scene, objects=(SceneObject(plate, pose, scene.objects[0].material),))
+
+
+def _level(scene: Scene, height_mm: float) -> Pose:
+    """Return the pose of a plate at a height in the measurement volume."""
+    place = scene.place
+    return Pose(place.rotation, place.to_world([0.0, 0.0, height_mm]))
 
 
 def _texture(scene: Scene, height_mm: float, square_mm: float) -> SceneObject:
@@ -57,7 +64,7 @@ def _texture(scene: Scene, height_mm: float, square_mm: float) -> SceneObject:
         },
     )
     dark = next(part for part in board.parts if "dark" in part or "black" in part)
-    pose = Pose(np.eye(3), np.array([0.0, 0.0, height_mm]))
+    pose = _level(scene, height_mm)
     materials = {dark: PRESETS["dark-stage"]}
     return SceneObject(board, pose, scene.objects[0].material, materials)
 

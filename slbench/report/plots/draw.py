@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from slbench.core.io import atomic_path
 from slbench.objects import Artefact
-from slbench.rig import Rig, box_corners
+from slbench.rig import Pose, Rig, box_corners
 from slbench.scene.model import Scene, SceneObject
 
 
@@ -99,21 +99,27 @@ def scene_picture(scene: Scene, view: NDArray[np.float32], path: str | Path) -> 
     FigureCanvasAgg(figure)
     front, side, picture = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.2])
     for axes, across, title in ((front, 0, "front: x, z"), (side, 1, "side: y, z")):
-        draw_rig(axes, scene.rig, scene.objects, across)
+        draw_rig(axes, scene.rig, scene.objects, across, scene.place)
         axes.set_title(title)
     figure.legend(*front.get_legend_handles_labels(), fontsize=9, loc="outside lower left", ncols=3)
     bright = max(float(np.percentile(view, 99.5)), 1e-30)
     draw_image(picture, view / bright, "camera's view, panel white", "gray", "", limits=(0.0, 1.0))
-    rig = scene.rig
+    camera, projector = (
+        device.pose.position - scene.place.position
+        for device in (scene.rig.camera, scene.rig.projector)
+    )
+    far, long = np.linalg.norm(camera), np.linalg.norm(projector)
+    angle = np.rad2deg(np.arccos(np.clip(camera @ projector / (far * long), -1.0, 1.0)))
     figure.suptitle(
-        f"{scene.name}: camera {rig.camera_distance:.4g} mm, projector "
-        f"{rig.projector_distance:.4g} mm, angle {np.rad2deg(rig.angle):.1f}°"
+        f"{scene.name}: camera {far:.4g} mm, projector {long:.4g} mm, angle {angle:.1f}°"
     )
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
 
 
-def draw_rig(axes: Any, rig: Rig, objects: Sequence[SceneObject], across: int) -> None:
+def draw_rig(
+    axes: Any, rig: Rig, objects: Sequence[SceneObject], across: int, place: Pose | None = None
+) -> None:
     """Draw devices, frusta, volume and objects as seen along one horizontal world axis.
 
     Parameters
@@ -124,19 +130,24 @@ def draw_rig(axes: Any, rig: Rig, objects: Sequence[SceneObject], across: int) -
         Drawn as their bounding boxes.
     across : {0, 1}
         World axis to the right: x or y; z is up.
+    place : Pose, optional
+        Of the measurement volume; the world's frame by default.
     """
+    place = place or Pose()
     for device, colour, name in ((rig.camera, "C0", "camera"), (rig.projector, "C1", "projector")):
         centre = device.pose.position
-        distance = float(np.linalg.norm(centre))
+        distance = float(np.linalg.norm(centre - place.position))
         frustum = device.frustum(1e-3 * distance, 1.05 * distance)
         _outline(axes, frustum, across, colour, 0.12)
         _outline(axes, device.body_corners, across, colour, 0.6)
         axes.plot(centre[across], centre[2], "o", color=colour, markersize=4, label=name)
-        axes.plot([centre[across], 0.0], [centre[2], 0.0], color=colour, linewidth=0.7)
+        ends = np.stack((centre, place.position))
+        axes.plot(ends[:, across], ends[:, 2], color=colour, linewidth=0.7)
     for item in objects:
         corners = box_corners(*item.artefact.mesh.bounds)
         _outline(axes, item.pose.to_world(corners), across, "0.3", 0.5)
-    _outline(axes, rig.volume_corners, across, "C2", 0.25, label="measurement volume")
+    volume = place.to_world(rig.volume_corners)
+    _outline(axes, volume, across, "C2", 0.25, label="measurement volume")
     axes.set_aspect("equal")
     axes.set_xlabel(f"{'xy'[across]} / mm")
     axes.set_ylabel("z / mm")
@@ -154,5 +165,6 @@ def _outline(
     if not len(points):
         return
     flat = points[:, [across, 2]]
-    hull = flat[ConvexHull(flat).vertices]
+    # OpenCV's, which takes points on a line, too; single precision is finer than any picture.
+    hull = cv2.convexHull(flat.astype(np.float32))[:, 0]
     axes.fill(*hull.T, color=colour, alpha=alpha, linewidth=0.8, label=label)

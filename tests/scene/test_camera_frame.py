@@ -1,0 +1,83 @@
+"""Scenes whose world is the camera's frame, as in a file of ``cv2.stereoCalibrate``."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scenes_small import run_cli, small
+
+from slbench.core.io import read_opencv_yaml, write_opencv_yaml
+from slbench.design.fringes.trial import noise_of_scene
+from slbench.report.plots.draw import scene_picture
+from slbench.rig import Pose
+from slbench.rig.opencv import write_rig
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return small("plane", divisor=2)
+
+
+@pytest.fixture(scope="module")
+def turned(scene):
+    """The same measurement, described in the camera's frame."""
+    frame = scene.rig.camera.pose
+
+    def moved(one):
+        rotation, position = frame.rotation.T @ one.pose.rotation, frame.to_local(one.pose.position)
+        return replace(one, pose=Pose(rotation, position))
+
+    devices = {name: moved(one) for name, one in scene.rig.devices.items()}
+    objects = tuple(moved(one) for one in scene.objects)
+    return replace(scene, rig=scene.rig.having(**devices), objects=objects)
+
+
+def test_the_volume_is_about_the_object(scene, turned):
+    assert scene.rig.faces_origin
+    assert scene.place == Pose()
+    assert not turned.rig.faces_origin
+    np.testing.assert_allclose(turned.place.position, turned.objects[0].middle)
+    # Its z leads to the camera.
+    np.testing.assert_allclose(turned.place.rotation[:, 2], -turned.rig.camera.pose.rotation[:, 2])
+
+
+def test_noise_is_that_of_the_same_scene(scene, turned):
+    one, two = (
+        noise_of_scene(each, (4, 16), z_mm=[0.0], repeats=20, seed=3).sigma_rad
+        for each in (scene, turned)
+    )
+    # Exposure is automatic, so that light and fringes are as bright: what is left is that the plate
+    # is half of the plane's thickness deeper and faces the camera, and 2 % of the estimate.
+    np.testing.assert_allclose(two, one, rtol=0.1)
+
+
+def test_a_picture_is_drawn_and_the_rig_is_said(scene, turned, tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        view = np.ones((240, 320), np.float32)
+        scene_picture(turned, view, tmp_path / "turned.png")
+        assert "triangulation angle" in repr(scene.rig)
+        assert "triangulation angle" not in repr(turned.rig)
+    assert np.isnan(turned.rig.angle)
+
+
+def test_the_commands_take_a_rig_s_file_without_a_world(scene, tmp_path):
+    write_rig(tmp_path / "rig.yaml", scene.rig)
+    stated = read_opencv_yaml(tmp_path / "rig.yaml")
+    left = {key: value for key, value in stated.items() if not key.endswith("_world")}
+    write_opencv_yaml(tmp_path / "rig.yaml", left)
+    depth = scene.rig.camera.pose.origin_depth
+    (tmp_path / "mine.toml").write_text(
+        'name = "mine"\nrig = { file = "rig.yaml" }\npreview = { divisor = 4 }\n[[objects]]\n'
+        f'artefact = "plane"\nposition_mm = [0, 0, {depth}]\nrotation_deg = [180, 0, 0]\n'
+    )
+    mine, out = tmp_path / "mine.toml", tmp_path / "out"
+    for command in (
+        ("scene", "show", mine, "--out", out / "rig.png"),
+        ("design", "noise", mine, "--heights", 1, "--repeats", 2, "--preview", "--out", out / "n"),
+    ):
+        done = run_cli(*command)
+        assert done.status == 0, done.err
+    assert (out / "rig.png").is_file()
+    assert (out / "n" / "single.csv").is_file()
