@@ -19,6 +19,9 @@ from pages import ALL, DOCS, FENCE, PAGES, ROOT, named_commands, shown_commands,
 
 from slbench.cli import app
 from slbench.core import resources
+from slbench.design.fringes import design
+from slbench.design.fringes.noise import PhaseNoise
+from slbench.design.fringes.unwrapping import ideal_phases
 from slbench.design.rig.hardware import read_configurations
 
 IDS = [str(path.relative_to(ROOT)) for path in ALL]
@@ -306,6 +309,56 @@ def test_no_page_scrolls_sideways(site, width):
 
 # -- errata ------------------------------------------------------------------------------------
 # What docs/study/errata.md says of the thesis's equations, computed.
+
+
+def turned(alpha, beta):
+    (c, s), (d, t) = ((np.cos(a), np.sin(a)) for a in (alpha, beta))
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.array(
+        [[1, 0, 0], [0, d, -t], [0, t, d]]
+    )
+
+
+def test_erratum_eq_5_lacks_the_camera_s_place():
+    z, w, h, length, alpha, beta = np.loadtxt(
+        ROOT / "scenes" / "hardware" / "table4.csv", delimiter=",", skiprows=1
+    )[4]
+    axis = turned(np.radians(alpha), np.radians(beta))[:, 2]
+    origin, camera = axis * z / axis[2], np.array([w, h, length])
+    toward = origin - camera
+    pitch = -np.arcsin(toward[1] / np.linalg.norm(toward))
+    rotation = turned(np.arctan2(toward[0], toward[2]), pitch)
+    sensor = rotation @ [0.0, 0.0, 16.0]  # the principal point, mm
+    for through, met in ((sensor, (-955, -227)), (sensor + camera, (-246, -153))):
+        ray = through - camera
+        point = camera + ray * (z - camera[2]) / ray[2]
+        assert point[:2] == pytest.approx(met, abs=0.5)
+    # Counted from the corner, eq. 8, the middle of the sensor is off the axis by half of it.
+    corner = rotation @ [7.4e-3 * 320, 7.4e-3 * 240, 16.0]  # 640 x 480 px
+    point = camera + corner * (z - camera[2]) / corner[2]
+    assert np.linalg.norm(point - origin) > 50.0
+
+
+def test_erratum_eq_31_with_and_without_the_square(monkeypatch):
+    def unsquared(surface, spacing):
+        rows, columns = np.gradient(surface, spacing, axis=(1, 2))
+        return float(np.mean(np.sum(np.hypot(rows, columns), axis=(1, 2))))
+
+    for roughness in (design._roughness, unsquared):
+        monkeypatch.setattr(design, "_roughness", roughness)
+        for width, sigma, most, options, fringes in (
+            (400, 0.036, 80, {"safety": 2.0, "noise_step": 0.001}, (1, 10, 50)),
+            (1024, 0.25, 16, {"safety": 1.5, "noise_step": 0.009}, (1, 2, 4, 8, 16)),
+        ):
+            counts = [n for n in design.candidates(width) if n <= most]
+            noise = PhaseNoise.constant(sigma, counts)
+            found = design.thesis_sequence(width, noise, counts, phase_model="thesis", **options)
+            assert found.fringes == fringes
+
+
+def test_erratum_eq_27_and_28_disagree_by_a_quarter_of_a_turn():
+    relative, reference = ideal_phases(80, 400, "thesis")
+    off = (80 * reference - relative) / (2 * np.pi)
+    assert np.abs(off - np.rint(off)).max() == pytest.approx(0.25, abs=1e-12)
 
 
 def test_erratum_eq_8_all_rays_of_a_pixel_are_one():

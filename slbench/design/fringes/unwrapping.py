@@ -25,8 +25,8 @@ converges at once where s is large, as the Fourier series of the saw tooth r and
 
 *Phase models.*  ``exact`` has delta = 0: phases of one position.  ``thesis`` has the ideal
 phases of thesis eq. 27 and 28 as they are printed, with the denominators p - 1 and W - 1:
-both ends of a fringe are sampled, so relative and reference phase disagree by up to a fifth of
-a turn and more where a fringe has few pixels, which acts as a further, fixed noise.
+both ends of a fringe are sampled, so relative and reference phase disagree by up to a quarter of
+a turn where a fringe has few pixels, which acts as a further, fixed noise.
 """
 
 from __future__ import annotations
