@@ -28,7 +28,7 @@ from slbench.bench.claims.check import Regression, Result
 from slbench.bench.claims.file import Claim
 from slbench.bench.claims.pools import Pools
 from slbench.bench.claims.verdicts import ROUNDING
-from slbench.bench.compare.tiles import holm
+from slbench.bench.compare.significance import holm
 from slbench.core.errors import InputError
 from slbench.core.io import plain, read_json, write_json
 from slbench.core.validation.tables import Parameters

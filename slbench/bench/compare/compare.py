@@ -4,22 +4,22 @@ Light is traced once and serves all sets and repeats, so that what differs betwe
 what the patterns and the detector do.  Every repeat of a set draws its noise from (seed, text of
 the set, repeat): a result does not depend on which other sets are compared or in what order.
 
-*Pixels.*  A deviation is taken over the pixels of smooth lit surface
+*Pixels.*  Deviations and distances are taken over the pixels of smooth lit surface
 (:meth:`slbench.scene.truth.GroundTruth.smooth`) that *every* set measured in at least two thirds of
 its repeats: the same pixels for all, so that a set gains nothing from giving up the hard ones.
 What it gives up is told by its completeness, over all lit pixels, and by its order errors, over
-all that it measured of the smooth surface; neither depends on the other sets.
+all that it measured of the smooth surface; neither depends on the other sets.  Measurements in
+a wrong order are counted there alone: a single one would be the deviation of its neighbourhood.
 
 *Two rankings.*  By repeatability, the standard deviation over the repeats (thesis 7.2.2), and
-by distance from the truth.  The first alone would praise a code that repeats the same wrong
-value, as a Gray code does whose column is a pixel wide.
+by distance from the truth.  The first alone would praise a code that repeats the same wrong value.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -29,19 +29,18 @@ from threadpoolctl import threadpool_limits
 from slbench.bench.compare.comparison import Comparison, SetResult
 from slbench.bench.compare.repeated import Repeats, scan_repeats
 from slbench.bench.compare.sets import Equal, PatternSet, pattern_sets
-from slbench.bench.compare.tiles import (
-    bootstrap_medians,
+from slbench.bench.compare.significance import (
     compared,
+    middle_half,
+    motion_freedom,
     ranked,
     resamples_for,
-    shaken,
     spread_draws,
-    tile_numbers,
 )
 from slbench.bench.statistics import percentile_interval
 from slbench.capture.stack import WeightSource
 from slbench.core.errors import InputError, warn_user
-from slbench.core.random import tagged_seed
+from slbench.core.random import generator, tagged_seed
 from slbench.core.show.display import length
 from slbench.core.show.document import Cloud
 from slbench.core.validation import types
@@ -59,8 +58,8 @@ Progress = Callable[[str, float], None]
 
 #: Share of the repeats in which every set must have measured a pixel that is compared.
 MEASURED = 2.0 / 3.0
-#: Tags of the random streams of the bootstrap and of vibration; those of the sets have five.
-_BOOTSTRAP, _VIBRATION = 1, 2
+#: Tags of the random streams of draws and of vibration; those of the sets have five.
+_DRAWS, _VIBRATION = 1, 2
 
 
 class NothingToCompare(InputError):
@@ -189,26 +188,18 @@ def compare(
     with stage("statistics"):
         common = _common(found, repeats)
         pixels = smooth[common]
-        tiles = tile_numbers(true.lit.shape, pixels)
-        values = {
-            (name, quantity): array[common]
-            for name, result in found.items()
-            for quantity, array in _quantities(result).items()
-        }
         resamples = resamples_for(math.comb(len(chosen), 2))
-        draws = bootstrap_medians(values, tiles, tagged_seed(seed, _BOOTSTRAP), resamples)
-        if scene.exposure.vibration_px > 0.0:
-            for one in chosen:
-                share = _shared(one, found[one.name], common)
-                own = one.seed(tagged_seed(seed, _VIBRATION), 0)
-                spread = spread_draws(repeats, own, resamples)
-                draws |= _widened(one.name, draws, share, spread)
-        medians = {key: float(np.median(array)) for key, array in values.items()}
+        values: dict[tuple[str, str], float] = {}
+        draws: dict[tuple[str, str], Array] = {}
+        for one in chosen:
+            known, drawn = _pooled(one, found[one.name], common, repeats, seed, resamples)
+            values |= {(one.name, quantity): value for quantity, value in known.items()}
+            draws |= {(one.name, quantity): array for quantity, array in drawn.items()}
         results = tuple(
-            _result(one, found[one.name], medians, draws, true, pixels, common) for one in chosen
+            _result(one, found[one.name], values, draws, true, pixels, common) for one in chosen
         )
         std, error = (
-            {name: medians[name, quantity] for name in found} for quantity in ("std", "error")
+            {name: values[name, quantity] for name in found} for quantity in ("std", "error")
         )
         std_draws, error_draws = (
             {name: draws[name, quantity] for name in found} for quantity in ("std", "error")
@@ -229,7 +220,6 @@ def compare(
         error_pairs=compared(error, error_draws),
         pixels=len(pixels),
         lit_pixels=int(np.count_nonzero(true.lit)),
-        tiles=int(tiles.max()) + 1,
         cloud=_cloud(ranking[0], found[ranking[0]], true, pixels, common),
         seconds=seconds,
         parameters={
@@ -279,11 +269,45 @@ def _common(found: dict[str, Repeats], repeats: int) -> NDArray[np.bool_]:
     return common
 
 
-def _quantities(result: Repeats) -> dict[str, Array]:
-    """Return what medians are taken of, by name, (P,) each."""
-    scans = np.maximum(result.scans, 1)
-    error = np.sqrt(result.square_mm2 / scans)
-    return {"std": result.std_mm, "std_z": result.std_z_mm, "error": error}
+def _pooled(
+    one: PatternSet,
+    found: Repeats,
+    common: NDArray[np.bool_],
+    repeats: int,
+    seed: int,
+    resamples: int,
+) -> tuple[dict[str, float], dict[str, Array]]:
+    """Return pooled deviations and distances by name, and draws of what they may be."""
+    # Without noise, codes of steps decide at their edges otherwise than with it.
+    floor = np.nan_to_num(found.floor_mm) * _fringes(one)
+    steady = middle_half(found.predicted_mm, common)
+    near = middle_half(np.hypot(floor, found.predicted_mm), common)
+    pooled = {
+        "std": found.sums["std"].pooled(steady),
+        "std_z": found.sums["std_z"].pooled(steady),
+        "error": found.sums["error"].pooled(near),
+    }
+    if not all(np.isfinite(one.mean) for one in pooled.values()):
+        expected = "pixels that it measures twice in the right order"
+        raise NothingToCompare(f"set {one.name}", expected, "none")
+    predicted = float(np.sqrt(np.mean(found.predicted_mm[steady] ** 2)))
+    rng = generator(one.seed(tagged_seed(seed, _DRAWS), 0))
+    squares = {name: square.draws(rng, resamples) for name, square in pooled.items()}
+    if found.together is not None:
+        share = _shared(one, found, common)
+        freedom = motion_freedom(repeats, share, found.together)
+        moved = {name: square.mean for name, square in pooled.items()}
+        # Of the distance what is not steady: beyond the floor, and no less than the scatter about
+        # the mean, to which the mean itself adds a further degree of freedom.
+        scatter = found.sums["std"].pooled(near).mean * (repeats - 1) / repeats
+        moved["error"] = max(moved["error"] - float(np.mean(floor[near] ** 2)), scatter)
+        own = generator(one.seed(tagged_seed(seed, _VIBRATION), 0))
+        for name, square in moved.items():
+            more = repeats / (repeats - 1) if name == "error" else 1.0
+            spread = spread_draws(more * freedom, own, resamples)
+            squares[name] = np.maximum(squares[name] + share * square * (spread - 1.0), 0.0)
+    roots = {name: square.root for name, square in pooled.items()}
+    return roots | {"predicted": predicted}, {k: np.sqrt(v) for k, v in squares.items()}
 
 
 def _median(values: Array) -> float:
@@ -292,36 +316,30 @@ def _median(values: Array) -> float:
     return float(np.median(finite)) if finite.size else float("nan")
 
 
+def _fringes(one: PatternSet) -> bool:
+    """Return whether fringes decide the set's coordinates along every axis."""
+    return all(one.sequence.fringe_counts(axis) for axis in one.sequence.axes)
+
+
 def _shared(one: PatternSet, found: Repeats, common: NDArray[np.bool_]) -> float:
     """Return the share of a vibrating set's variance that moves all pixels alike.
 
     What the detector is not predicted to cause; all of it for a Gray code alone, whose
     prediction is its step and not its noise.
     """
-    if not all(one.sequence.fringe_counts(axis) for axis in one.sequence.axes):
+    if not _fringes(one):
         return 1.0
     ratio = _std_over_predicted(found, common)
     return 1.0 - 1.0 / max(ratio, 1.0) ** 2
 
 
-def _widened(
-    name: str, draws: Mapping[tuple[str, str], Array], share: float, spread: Array
-) -> dict[tuple[str, str], Array]:
-    """Return the draws of one set's medians with the uncertainty of its vibration."""
-    of = {"std": "std", "std_z": "std_z", "error": "std"}
-    return {
-        (name, quantity): shaken(draws[name, quantity], draws[name, std], share, spread)
-        for quantity, std in of.items()
-    }
-
-
 def _std_over_predicted(found: Repeats, common: NDArray[np.bool_]) -> float:
-    return float(np.sqrt(np.mean((found.std_mm[common] / found.predicted_mm[common]) ** 2)))
+    return float(np.sqrt(np.nanmean((found.std_mm[common] / found.predicted_mm[common]) ** 2)))
 
 
 def _bound_share(found: Repeats, common: NDArray[np.bool_]) -> float:
     """Return the bound over the deviation, by RMS: medians of few repeats' are too small."""
-    own = common & (found.bound_mm > 0.0)
+    own = common & (found.bound_mm > 0.0) & (found.kept > 1)
     ratio = float(np.mean((found.std_mm[own] / found.bound_mm[own]) ** 2)) if own.any() else 0.0
     return ratio**-0.5 if ratio > 0.0 else float("nan")
 
@@ -329,7 +347,7 @@ def _bound_share(found: Repeats, common: NDArray[np.bool_]) -> float:
 def _result(
     one: PatternSet,
     found: Repeats,
-    medians: dict[tuple[str, str], float],
+    values: dict[tuple[str, str], float],
     draws: dict[tuple[str, str], Array],
     truth: GroundTruth,
     pixels: NDArray[np.intp],
@@ -340,9 +358,9 @@ def _result(
         for quantity in ("std", "std_z", "error")
     }
 
-    def image(values: Array) -> Array:
+    def image(array: Array) -> Array:
         picture = np.full(truth.lit.shape, np.nan)
-        picture.ravel()[pixels] = values[common]
+        picture.ravel()[pixels] = array[common]
         return picture
 
     return SetResult(
@@ -350,19 +368,19 @@ def _result(
         sequence=one.sequence,
         frames=one.frames,
         exposure_s=found.exposure_s,
-        std_median_mm=medians[one.name, "std"],
+        std_median_mm=values[one.name, "std"],
         std_ci95_mm=interval["std"],
-        std_z_median_mm=medians[one.name, "std_z"],
+        std_z_median_mm=values[one.name, "std_z"],
         std_z_ci95_mm=interval["std_z"],
-        predicted_mm=float(np.median(found.predicted_mm[common])),
+        predicted_mm=values[one.name, "predicted"],
         std_over_predicted=_std_over_predicted(found, common),
         bound_mm=_median(found.bound_mm[common]),
         bound_share=_bound_share(found, common),
-        error_median_mm=medians[one.name, "error"],
+        error_median_mm=values[one.name, "error"],
         error_ci95_mm=interval["error"],
         floor_median_mm=_median(found.floor_mm[common]),
         monte_carlo_median_mm=_median(found.sampling_mm[common]),
-        bias_mm=float(np.mean(found.error_mm[common, 2])),
+        bias_mm=float(np.nanmean(found.error_mm[common, 2])),
         rms_mm=float(np.sqrt(found.square_mm2[common].sum() / found.scans[common].sum())),
         order_error_rate=found.order_error_rate,
         right=found.right,

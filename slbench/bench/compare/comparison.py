@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.compare.sets import Equal
-from slbench.bench.compare.tiles import Pair
+from slbench.bench.compare.significance import Pair
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, brief, length, share
 from slbench.core.show.document import Cloud, Table
@@ -45,7 +45,8 @@ class SetResult:
     """Repeated scans with one pattern set.
 
     All but ``order_error_rate``, ``right`` and ``completeness`` is for the pixels of the
-    comparison, the same for all sets.
+    comparison, the same for all sets; and all but ``rms_mm`` for what was measured in the right
+    order.
 
     Parameters
     ----------
@@ -58,12 +59,13 @@ class SetResult:
     exposure_s : float
         Exposure time of a frame.
     std_median_mm, std_ci95_mm : float, (float, float)
-        Standard deviation of a point over the repeats, sqrt(var x + var y + var z): median over
-        the pixels, and its 95 % interval.
+        Standard deviation of a point over the repeats, sqrt(var x + var y + var z): root mean
+        square over the middle half of the pixels (:mod:`slbench.bench.compare.significance`), and
+        its 95 % interval.
     std_z_median_mm, std_z_ci95_mm : float, (float, float)
         The same of the height alone.
     predicted_mm : float
-        Median of the standard deviation that the decoder predicted.
+        The same of the standard deviation that the decoder predicted.
     std_over_predicted : float
         RMS over the pixels of the ratio of both: 1 where the detector's noise is all there is.
     bound_mm : float
@@ -74,7 +76,8 @@ class SetResult:
         The bound over the measured deviation, 1 / sqrt(mean (std / bound)^2) over these pixels: 1
         where the decoder uses all that the frames carry, whatever deviation it predicts.
     error_median_mm, error_ci95_mm : float, (float, float)
-        RMS distance of a point from the truth over the repeats: median over the pixels.
+        Distance of a point from the truth: root mean square over the repeats and the middle half of
+        the pixels.
     floor_median_mm, monte_carlo_median_mm : float
         Distance of a point from the truth without noise: median over the pixels; and the part of it
         that more samples would take away (:mod:`slbench.simulate.floors`), NaN where the transport
@@ -181,8 +184,6 @@ class Comparison:
         The same by ``error_median_mm``, the distance from the truth.
     pixels, lit_pixels : int
         Pixels of the comparison; pixels that the projector lights.
-    tiles : int
-        Tiles that the bootstrap drew from.
     cloud : Cloud
         Mean points of the set that ranks first.
     seconds : mapping of str to float
@@ -202,7 +203,6 @@ class Comparison:
     error_pairs: tuple[Pair, ...]
     pixels: int
     lit_pixels: int
-    tiles: int
     cloud: Cloud
     seconds: Mapping[str, float] = field(default_factory=dict)
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -230,7 +230,7 @@ class Comparison:
             )
             for one in self.sets
         )
-        note = f"Medians over {self.pixels} pixels, {self.repeats} repeats."
+        note = f"Middle half of {self.pixels} pixels, {self.repeats} repeats."
         return Table(f"{self.scene}: pattern sets compared", columns, rows, note)._repr_html_()
 
     def plot(self) -> Any:
@@ -289,7 +289,6 @@ class Comparison:
             "equal": self.equal,
             "pixels": self.pixels,
             "lit_pixels": self.lit_pixels,
-            "tiles": self.tiles,
             "sets": [result.to_dict() for result in self.sets],
             "ranking": list(self.ranking),
             "pairs": [pair.to_dict() for pair in self.pairs],

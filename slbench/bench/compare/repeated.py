@@ -2,7 +2,12 @@
 
 Light is traced once; every repeat is a product and a draw of the detector's noise.  Of each
 scan only running sums stay (B. P. Welford, Technometrics 4(3), 1962), so that memory does not
-grow with the number of repeats.
+grow with the number of repeats.  What Welford's update adds to a sum of squares is the square of a
+Helmert contrast: R repeats have R - 1 of them, independent for normal noise and each of the pixel's
+variance, so that their own scatter says how well that variance is known.
+
+Deviations and distances are those of measurements *in the right order*
+(:meth:`slbench.bench.compare.sets.PatternSet.tolerance_px`); the others are counted.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ from numpy.typing import NDArray
 
 from slbench.bench.compare.comparison import Step
 from slbench.bench.compare.sets import PatternSet
+from slbench.bench.compare.significance import Sums, moved_together
 from slbench.capture.capture import Capture
 from slbench.capture.fusion import FusionWeights
 from slbench.capture.stack import WeightSource
@@ -32,8 +38,10 @@ from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
-#: Pixels that stand for all where the bound is computed.
-_BOUND_PIXELS = 2000
+#: Pixels that stand for all where the bound is computed, and where motion is followed.
+_SOME_PIXELS = 2000
+#: Repeats over which motion is followed: what more of them would add is small.
+_FOLLOWED = 64
 #: A coordinate this near the truth is measured rightly, panel pixels: blur takes no code that far.
 RIGHT_PX = 2.0
 
@@ -46,14 +54,21 @@ class Repeats:
     ----------
     scans : (P,) int
         Repeats in which the pixel was measured.
+    kept : (P,) int
+        Those of them in the right order, of which all that follows is, but for `rms_mm2`.
     std_mm, std_z_mm : (P,) float
         Standard deviation over them, of the point and of its height; NaN for fewer than two.
     predicted_mm : (P,) float
-        Root mean square of the predicted deviations.
+        Root mean square of the predicted deviations; NaN for none.
     error_mm : (P, 3) float
-        Mean deviation from the truth.
+        Mean deviation from the truth; NaN for none.
+    sums : dict of str to Sums
+        Of squares: ``std``, ``std_z`` and ``error``, the distance from the truth.
     square_mm2 : (P,) float
-        Sum of squared distances from the truth.
+        Sum of squared distances from the truth, of all repeats that measured the pixel.
+    together : float or None
+        Squared covariances of different pixels, relative
+        (:func:`slbench.bench.compare.significance.moved_together`); None where nothing vibrates.
     floor_mm, sampling_mm : (P,) float
         Distance from the truth without noise, and from what half of the samples would give
         (:mod:`slbench.simulate.floors`); NaN where it is not known.
@@ -68,11 +83,14 @@ class Repeats:
     """
 
     scans: NDArray[np.int64]
+    kept: NDArray[np.int64]
     std_mm: Array
     std_z_mm: Array
     predicted_mm: Array
     error_mm: Array
+    sums: dict[str, Sums]
     square_mm2: Array
+    together: float | None
     floor_mm: Array
     sampling_mm: Array
     bound_mm: Array
@@ -129,6 +147,9 @@ def scan_repeats(
     stages = dict.fromkeys(("capture", "decode", "reconstruct", "sum up", "floor"), 0.0)
     weighed: FusionWeights | None = None
     bound = np.full(len(pixels), np.nan)
+    some = slice(None, None, -(-len(pixels) // _SOME_PIXELS) or 1)
+    shakes = scene.exposure.vibration_px > 0.0
+    followed: list[Array] = []
     for r in range(repeats):
         clock = [time.perf_counter()]
         own = given.seed(seed, r)
@@ -145,16 +166,22 @@ def scan_repeats(
         chosen = at >= 0
         at = at[chosen]
         variance = cloud.sigma_total_mm[chosen] ** 2
-        sums.add(at, cloud.points[chosen] - true[at], variance)
-        wrong += _beyond(given.tolerance_px, phase, truth, flat[chosen])
-        far += _beyond(lambda axis: RIGHT_PX, phase, truth, flat[chosen])
+        error = cloud.points[chosen] - true[at]
+        disordered = _beyond(given.tolerance_px, phase, truth, flat[chosen])
+        sums.add(at, error, variance, disordered)
+        wrong += int(np.count_nonzero(disordered))
+        far += int(np.count_nonzero(_beyond(lambda axis: RIGHT_PX, phase, truth, flat[chosen])))
+        if shakes and r < _FOLLOWED:
+            whole = np.full((len(pixels), 3), np.nan)
+            whole[at[~disordered]] = error[~disordered]
+            followed.append(whole[some])
         lit_points += int(np.count_nonzero(truth.lit.ravel()[flat]))
         if r == 0 and len(transports) == 1:
-            some = slice(None, None, -(-len(at) // _BOUND_PIXELS) or 1)
-            axis, seen = given.sequence.axes[0], flat[chosen][some]
+            few = slice(None, None, -(-len(at) // _SOME_PIXELS) or 1)
+            axis, seen = given.sequence.axes[0], flat[chosen][few]
             # A pixel's millimetres, as its predicted deviation has them.
-            mm_per_px = np.sqrt(variance[some]) / phase.sigma[axis].ravel()[seen]
-            bound[at[some]] = mm_per_px * _bound_px(given, shots, phase, seen)
+            mm_per_px = np.sqrt(variance[few]) / phase.sigma[axis].ravel()[seen]
+            bound[at[few]] = mm_per_px * _bound_px(given, shots, phase, seen)
         heights.append(_steps(scene, cloud, truth, chosen))
         exposure_s = float("nan") if shots.exposure_s is None else shots.exposure_s
         clock.append(time.perf_counter())
@@ -171,11 +198,14 @@ def scan_repeats(
     lit = int(np.count_nonzero(truth.lit))
     return Repeats(
         sums.scans,
+        sums.kept,
         sums.deviation(sums.squares.sum(axis=1)),
         sums.deviation(sums.squares[:, 2]),
-        np.sqrt(sums.variance / np.maximum(sums.scans, 1)),
-        sums.mean,
+        np.sqrt(sums.over_kept(sums.variance)),
+        np.where(sums.kept[:, None] > 0, sums.mean, np.nan),
+        sums.of_squares(),
         sums.square,
+        moved_together(np.stack(followed)) if shakes else None,
         floor,
         sampling,
         bound,
@@ -239,39 +269,71 @@ class _Sums:
 
     def __init__(self, pixels: int) -> None:
         self.scans = np.zeros(pixels, np.int64)
+        self.square = np.zeros(pixels)  # of the distance from the truth
+        # Of the scans in the right order alone:
+        self.kept = np.zeros(pixels, np.int64)
         self.mean = np.zeros((pixels, 3))
         self.squares = np.zeros((pixels, 3))  # of the distance from the mean
-        self.square = np.zeros(pixels)  # of the distance from the truth
+        self.distance = np.zeros(pixels)  # squared, from the truth
+        self.fourths = np.zeros((pixels, 3))  # powers of what the three quantities square
         self.variance = np.zeros(pixels)
 
-    def add(self, at: NDArray[np.intp], error: Array, variance: Array) -> None:
-        """Take a scan: pixels `at` (n,), deviations (n, 3), predicted variances (n,)."""
-        _add(at, error, self.scans, self.mean, self.squares, self.square)
-        self.variance[at] += variance
+    def add(
+        self, at: NDArray[np.intp], error: Array, variance: Array, disordered: NDArray[np.bool_]
+    ) -> None:
+        """Take a scan: pixels `at` (n,), deviations (n, 3), predicted variances (n,), mask (n,)."""
+        self.scans[at] += 1
+        self.square[at] += np.sum(error**2, axis=1)
+        at, error = at[~disordered], error[~disordered]
+        _add(at, error, self.kept, self.mean, self.squares, self.distance, self.fourths)
+        self.variance[at] += variance[~disordered]
 
     def deviation(self, squares: Array) -> Array:
         """Return standard deviations from sums of squares (P,)."""
-        freedom = self.scans - 1
+        freedom = self.kept - 1
         return np.sqrt(np.where(freedom > 0, squares / np.maximum(freedom, 1), np.nan))
+
+    def over_kept(self, sums: Array) -> Array:
+        """Return means over the scans in the right order (P,)."""
+        return np.where(self.kept > 0, sums / np.maximum(self.kept, 1), np.nan)
+
+    def of_squares(self) -> dict[str, Sums]:
+        """Return the sums of squares by the name of their quantity."""
+        freedom = np.maximum(self.kept - 1, 0)
+        points = self.squares.sum(axis=1)
+        return {
+            "std": Sums.known(points, freedom, self.fourths[:, 0]),
+            "std_z": Sums.known(self.squares[:, 2], freedom, self.fourths[:, 1]),
+            "error": Sums.known(self.distance, self.kept, self.fourths[:, 2]),
+        }
 
 
 @njit(cache=True)
-def _add(at: Any, error: Any, scans: Any, mean: Any, squares: Any, square: Any) -> None:
+def _add(
+    at: Any, error: Any, scans: Any, mean: Any, squares: Any, distance: Any, fourths: Any
+) -> None:
     """Welford's update of the pixels `at` (n,) with deviations (n, 3)."""
     for i in range(at.size):
         p = at[i]
         scans[p] += 1
+        point, square, height = 0.0, 0.0, 0.0
         for k in range(3):
             before = error[i, k] - mean[p, k]
             mean[p, k] += before / scans[p]
-            squares[p, k] += before * (error[i, k] - mean[p, k])
-            square[p] += error[i, k] ** 2
+            height = before * (error[i, k] - mean[p, k])
+            squares[p, k] += height
+            point += height
+            square += error[i, k] ** 2
+        fourths[p, 0] += point**2
+        fourths[p, 1] += height**2
+        fourths[p, 2] += square**2
+        distance[p] += square
 
 
 def _beyond(
     limit_px: Callable[[Axis], float], phase: PhaseMap, truth: GroundTruth, flat: NDArray[np.intp]
-) -> int:
-    """Count the pixels (flat indices) whose coordinate is further off than a limit of its axis.
+) -> NDArray[np.bool_]:
+    """Return a mask of the pixels (flat indices) whose coordinate is too far off: beyond a limit.
 
     A limit of zero px is the cell that a pixel was found in.
     """
@@ -282,7 +344,7 @@ def _beyond(
         if not limit:  # half a cell, whose deviation is that of a uniform error, and half a pixel
             limit = 0.5 + np.sqrt(3.0) * phase.sigma[axis].ravel()[flat]
         wrong |= np.abs(coordinate.ravel()[flat] - true) > limit
-    return int(np.count_nonzero(wrong))
+    return wrong
 
 
 def _steps(

@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import NDArray
 
 from slbench.bench.compare.comparison import Comparison, SetResult
-from slbench.bench.compare.tiles import Pair
+from slbench.bench.compare.significance import Pair
 from slbench.core.io import OutputFolder, provenance, write_exr, write_json
 from slbench.core.io.atomic import write_bytes
 from slbench.core.show.display import length_unit
@@ -29,7 +29,8 @@ _UM_LEAST = 1e-3
 
 _CAPTION = (
     "Standard deviation of each point over the repeats, one map a pattern set, in one colour "
-    "scale; its distribution over the pixels; and the medians with their 95 % intervals."
+    "scale; its distribution over the pixels; and the values of a typical pixel with their 95 % "
+    "intervals."
 )
 
 
@@ -113,12 +114,12 @@ def _sets(comparison: Comparison) -> Table:
     equal = "" if comparison.equal is None else f", equal {comparison.equal}"
     note = (
         f"{comparison.repeats} repeats{equal}; {comparison.pixels} pixels, {share:.1f} % of the "
-        "lit ones. std: over the repeats, of the point, median over the pixels. "
+        "lit ones. std: over the repeats, of the point, for the middle half of the pixels. "
         "std / predicted: RMS ratio to what the decoder predicts from the detector's noise, 1 if "
         "that is all. of bound: the Cramer-Rao bound, which no decoder of these frames can fall "
         "below, over std. "
-        "error: RMS distance from the truth, median over the pixels; floor: the same "
-        "without noise; sampling: the part of the floor that more samples take away; RMS over all "
+        "error: RMS distance from the truth, for the middle half of the pixels; floor: without "
+        "noise, median; sampling: the part of the floor that more samples take away; RMS over all "
         "pixels. Order errors: of all that was measured. right: within two panel pixels, of all "
         "smooth lit surface. complete: of all that is lit. " + verdict(comparison)
     )
@@ -139,7 +140,7 @@ def _pairs(title: str, pairs: tuple[Pair, ...]) -> Table:
         for pair in pairs
     )
     columns = ("a", "b", "a / b", "95 %", "p", "significant")
-    note = "Paired bootstrap over tiles of pixels; significant after Holm's correction, 5 % in all."
+    note = "Draws of the repeats; significant after Holm's correction, 5 % in all."
     return Table(title, columns, rows, note)
 
 
@@ -259,7 +260,7 @@ def _distributions(axes: Any, sets: tuple[SetResult, ...], scale: Any) -> None:
     axes.set_xscale("log")
     _plain_numbers(axes.xaxis)
     axes.set_xlim(scale.vmin, scale.vmax)
-    axes.set_xlabel("standard deviation of a point / µm; lines: medians")
+    axes.set_xlabel("standard deviation of a point / µm; lines: pooled")
     axes.set_ylabel("% of the pixels")
     axes.margins(y=0.25)  # room for the legend
     axes.legend(fontsize=8, loc="upper left", ncols=2)
@@ -283,7 +284,7 @@ def _medians(axes: Any, sets: tuple[SetResult, ...]) -> None:
     if all(one.std_median_mm > 0.0 for one in sets):
         axes.set_xscale("log")
         _plain_numbers(axes.xaxis)
-    axes.set_xlabel("median over the pixels / µm, 95 %")
+    axes.set_xlabel("middle half of the pixels / µm, 95 %")
     axes.grid(visible=True, axis="x", which="both", alpha=0.3)
     axes.legend(fontsize=8)
 

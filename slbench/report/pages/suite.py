@@ -26,13 +26,13 @@ def suite_tables(suite: Suite) -> tuple[Table, ...]:
         (
             "Distance from the truth / µm",
             lambda one: None if one.result is None else _UM * one.result.error_median_mm,
-            "RMS over the repeats, median over what the set measures of smooth lit surface, wrong "
-            "orders included.",
+            "RMS over the repeats and the middle half of what the set measures of smooth lit "
+            "surface in the right order.",
         ),
         (
             "Standard deviation over the repeats / µm",
             lambda one: None if one.result is None else _UM * one.result.std_median_mm,
-            "Median over the same pixels.",
+            "RMS over the middle half of the same pixels.",
         ),
     )
     columns = ("set", "frames", *suite.scenes)

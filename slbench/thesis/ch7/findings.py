@@ -28,7 +28,7 @@ _DRAWS = 5
 def ratio_of(found: Comparison, name: str, *, height: bool) -> Interval:
     """Return the standard deviation of a set over that of {1,10,50}, with its interval.
 
-    The interval is that of the paired bootstrap of the points' deviations; for heights it is
+    The interval is that of the deviations of the points; for heights it is
     scaled to the ratio of their medians.
     """
     pair = found.pair(name, OURS)

@@ -23,8 +23,8 @@ from slbench.thesis.pictures import (
 from slbench.thesis.published import FINEST, SETS, STEP_BLOCK
 
 _STD_NOTE = (
-    "Median over the pixels of the standard deviation over the repeats: of the height for the "
-    "step block, of the point for the others. Intervals: bootstrap over tiles of pixels. Two of "
+    "Standard deviation over the repeats of the pixels with the middling ones: of the height for "
+    "the step block, of the point for the others. Intervals: of the repeats' noise. Two of "
     "the thesis's medians are misprints, as they lie outside their own intervals (propeller, "
     "{1,10,50}: 32.25; gear, {1,2,4}: 119.45): here, and wherever they are compared with, the "
     "middle of the interval stands for them."

@@ -43,7 +43,7 @@ from slbench.bench.claims.quantities import (
 )
 from slbench.bench.compare.compare import compare
 from slbench.bench.compare.comparison import Step
-from slbench.bench.compare.tiles import holm
+from slbench.bench.compare.significance import holm
 from slbench.core.errors import InputError
 from slbench.patterns import PatternSequence
 from slbench.patterns.fringes import decode as decoding

@@ -104,8 +104,10 @@ class TestSourcesAlone:
         found = compare(
             scene, SETS, repeats=2, transports=(transport_of(NAME),), truth=block_truth()
         )
-        # Relative noise of 1e12 electrons is 1e-6, a fifteenth of a 16 bit grey level.
-        assert all(result.std_median_mm < 1e-6 for result in found.sets)
+        # Relative noise of 1e12 electrons is 1e-6, a fifteenth of a 16 bit grey level, which one
+        # pixel in ten reads differently: at most 0.2 um of {1,2,4}, whose deviation is 74 um.
+        assert all(np.nanmedian(result.std_mm) == 0.0 for result in found.sets)
+        assert all(result.std_median_mm < 1e-4 for result in found.sets)
 
     def test_shot_noise_goes_as_one_over_n(self):
         scene = small(NAME)
