@@ -64,7 +64,10 @@ def patterns(
         PanelWidth | None, typer.Option(help="Coded panel width; a scene or a capture has its own.")
     ] = None,
     noise_rad: Annotated[
-        PhaseDeviation | None, typer.Option(help="Noise of the relative phase, for any fringes.")
+        PhaseDeviation | None,
+        typer.Option(
+            help="Noise of the relative phase, sqrt(2/N) of a frame's over b, for any fringes."
+        ),
     ] = None,
     noise_table: Annotated[Path | None, typer.Option(help="CSV: fringes,z_mm,sigma_rad.")] = None,
     capture: Annotated[

@@ -30,7 +30,7 @@ from slbench.core.io import read_table, write_table
 from slbench.core.show.display import brief
 from slbench.core.validation.values import checked
 from slbench.patterns import Axis, Placed
-from slbench.patterns.fringes.wrong_orders import relative_noise
+from slbench.patterns.fringes.wrong_orders import phase_deviation, relative_noise
 from slbench.simulate.floors import rms
 
 Array = NDArray[np.float64]
@@ -54,6 +54,9 @@ class PhaseNoise:
         Heights.
     shifts : int
         Shifts N that it was measured with; other N scale it by sqrt(shifts / N).
+    measured : bool
+        Whether it was found from phases, whose deviation it is; otherwise it is that to first
+        order, sqrt(2 / N) sigma_I / b, which a phase of much noise exceeds (4 % at 0.25 rad).
     floor_rad, monte_carlo_rad : (k, m) float, optional
         What a simulation knows beside its noise: the RMS error of the phase without the detector,
         and the part of it that more samples would take away; NaN where the fringes are washed out.
@@ -71,6 +74,7 @@ class PhaseNoise:
     shifts: int = 3
     floor_rad: Array | None = None
     monte_carlo_rad: Array | None = None
+    measured: bool = True
 
     __repr__ = brief
 
@@ -91,11 +95,12 @@ class PhaseNoise:
 
     @classmethod
     def constant(cls, sigma_rad: float, fringes: Iterable[int], shifts: int = 3) -> PhaseNoise:
-        """Return the same noise for all `fringes`, at one height."""
+        """Return the same noise for all `fringes`, at one height: sqrt(2 / N) sigma_I / b."""
         if not 0.0 < sigma_rad <= pi:
             raise InputError("noise", "a positive number (rad), at most pi", sigma_rad)
         counts = np.array(sorted(set(fringes)), np.int64)
-        return cls(counts, np.full((len(counts), 1), float(sigma_rad)), np.zeros(1), shifts)
+        sigma = np.full((len(counts), 1), float(sigma_rad))
+        return cls(counts, sigma, np.zeros(1), shifts, measured=False)
 
     @classmethod
     def read(cls, path: str | Path, shifts: int = 3) -> PhaseNoise:
@@ -129,20 +134,22 @@ class PhaseNoise:
     def relative(self, fringes: int, shifts: int | None = None) -> Array:
         """Return the noise over modulation at all heights, (m,), for a number of shifts.
 
-        That of the frames, which the density of the phase error follows from; little noise is the
-        phase's deviation (:func:`slbench.patterns.fringes.wrong_orders.relative_noise`).
+        sqrt(2 / N) sigma_I / b, which the density of the phase error follows from
+        (:func:`slbench.patterns.fringes.wrong_orders.relative_noise`).
         """
-        own = relative_noise(self.of(fringes))
-        return own * sqrt(self.shifts / (shifts or self.shifts))
+        own = self.of(fringes)
+        scale = sqrt(self.shifts / (shifts or self.shifts))
+        return (relative_noise(own) if self.measured else own) * scale
 
     def write(self, path: str | Path) -> None:
-        """Write what :meth:`read` reads."""
+        """Write what :meth:`read` reads: deviations of the phase."""
+        found = self.sigma_rad if self.measured else phase_deviation(self.sigma_rad)
         write_table(
             path,
             COLUMNS,
             (
                 (count, z, sigma)
-                for count, row in zip(self.fringes, self.sigma_rad, strict=True)
+                for count, row in zip(self.fringes, found, strict=True)
                 for z, sigma in zip(self.z_mm, row, strict=True)
             ),
         )

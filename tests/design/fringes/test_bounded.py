@@ -16,12 +16,12 @@ from slbench.design.fringes.bounded import bounded_sequence
 from slbench.design.fringes.design import candidates, predict
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.patterns import order_error_probability
-from slbench.patterns.fringes.wrong_orders import phase_deviation, relative_noise
+from slbench.patterns.fringes.wrong_orders import phase_deviation
 
 
 def danger_of(noise, fringes, shifts):
     """-log of the probability that every step is safe, at the worst of the heights."""
-    sigma = dict(zip(noise.fringes.tolist(), noise.sigma_rad, strict=True))
+    sigma = {n: noise.relative(n) for n in fringes}
     sets = list(zip(fringes, shifts, strict=True))
     steps = [
         step_danger(n / before, tuple(sigma[before]), few, tuple(sigma[n]), many, noise.shifts)
@@ -33,7 +33,7 @@ def danger_of(noise, fringes, shifts):
 @cache
 def step_danger(ratio, reference, few, own, many, shifts):
     """At each height."""
-    noise = relative_noise([reference, own]) * np.sqrt([[shifts / few], [shifts / many]])
+    noise = np.array([reference, own]) * np.sqrt([[shifts / few], [shifts / many]])
     wrong = order_error_probability(*noise, 1.0, ratio)
     return (-np.log1p(-wrong)).tolist()
 
@@ -179,8 +179,8 @@ def test_more_frames_are_spent_on_the_last_set_when_noise_is_constant():
         design = bounded_sequence(400, noise, frames=frames)
         assert design.fringes[-1] == 80
         assert design.shifts == (3, 3, frames - 6)
-        # An angle's deviation is that of the frames to first order, to 7e-4 here.
-        assert design.sigma_rad == pytest.approx(0.036 / 80 * sqrt(3 / (frames - 6)), rel=1e-3)
+        own = float(phase_deviation(0.036 * sqrt(3 / (frames - 6))))
+        assert design.sigma_rad == pytest.approx(own / 80, rel=1e-9)
 
 
 def test_more_frames_never_harm_and_a_looser_bound_neither():
@@ -206,7 +206,7 @@ def test_the_bound_holds_and_is_used():
             design = bounded_sequence(400, noise, frames=12, max_probability=bound)
             assert design.order_error_probability <= bound
     # On either side of what 1, 2 has at 0.25 rad: 4e-5, where a Gaussian has 1.9e-8.
-    noise = PhaseNoise.constant(float(phase_deviation(0.25)), [1, 2])
+    noise = PhaseNoise.constant(0.25, [1, 2])
     own = predict(400, noise, (1, 2)).order_error_probability
     assert own == pytest.approx(3.9e-5, rel=0.03)
     for bound, fringes in ((1.01 * own, (1, 2)), (0.99 * own, (1,))):
@@ -237,10 +237,7 @@ def share_of_wrong(design, sigma, pixels=400_000, seed=4):
 @pytest.mark.parametrize("safety", [1.0, 1.5, 2.0])
 def test_the_bound_holds_with_as_much_noise_as_it_was_made_for(safety, frames):
     """Where it binds; 4.5 standard errors, which chance exceeds in 3 of a million cases."""
-    noise, told = (
-        PhaseNoise.constant(float(phase_deviation(level)), candidates(1024))
-        for level in (0.4 / safety, 0.4)
-    )
+    noise, told = (PhaseNoise.constant(level, candidates(1024)) for level in (0.4 / safety, 0.4))
 
     def designed(table, bound, factor):
         return bounded_sequence(1024, table, frames=frames, max_probability=bound, safety=factor)
@@ -265,12 +262,10 @@ def test_the_bound_holds_with_as_much_noise_as_it_was_made_for(safety, frames):
 
 def test_safety_is_more_noise_for_the_bound_alone():
     noise = PhaseNoise.constant(0.036, candidates(400))
-    twice = PhaseNoise.constant(
-        float(phase_deviation(2.0 * relative_noise(0.036))), candidates(400)
-    )
+    twice = PhaseNoise.constant(0.072, candidates(400))
     design = bounded_sequence(400, noise, safety=2.0)
     assert design.fringes == bounded_sequence(400, twice).fringes == (1, 4, 16, 80)
-    assert design.sigma_rad == pytest.approx(0.036 / 80)
+    assert design.sigma_rad == pytest.approx(float(phase_deviation(0.036)) / 80)
     assert bounded_sequence(400, noise).fringes == (1, 8, 80)
 
 

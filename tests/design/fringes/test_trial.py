@@ -13,7 +13,6 @@ from slbench.design.fringes.design import candidates, predict, thesis_sequence
 from slbench.design.fringes.noise import PhaseNoise
 from slbench.design.fringes.trial import _spread, noise_of_scene, scan_repeatedly
 from slbench.patterns import PatternSequence, unwrap
-from slbench.patterns.fringes.wrong_orders import relative_noise
 from slbench.scene.file import load_scene
 from slbench.simulate.repeats import plate_scene, repeated_phases
 
@@ -176,7 +175,7 @@ def test_pixels_that_are_not_always_measured_count_by_what_there_is():
     error[1:, :100] = np.nan  # seen once
     error[:5, 100:200] = np.nan
     error[:, 200] = np.nan
-    sigma = np.full((2, 400), relative_noise(0.1))
+    sigma = np.full((2, 400), 0.1)
     found = _spread(design, error, sigma)
     seen = np.isfinite(error)
     assert found.pixels == 400
