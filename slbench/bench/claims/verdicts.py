@@ -6,9 +6,13 @@ Student's interval at the claim's confidence c::
 
     mean(m) +- t(n - 1, (1 + c) / 2) s / sqrt(n)
 
+or, where it reaches further, with the one that Hall's transformation makes of it for skewed values
+(:func:`margin_interval`).
+
 The claim *holds* where the whole interval is at zero or above, *fails* where it is below zero, and
 is *undecided* where it straddles zero.  A claim that is false holds in at most (1 - c) / 2 of all
-runs, and one that is true fails in at most as many: 2.5 % at c = 0.95, and that only at the bound.
+runs, and one that is true fails in at most as many: 2.5 % at c = 0.95, and that only at the bound;
+more for skewed values and few repeats, as ``docs/how-to/claims.md`` says.
 
 *A claim on each single measurement* (``each``).  Scatter is what it is about, and magnitudes are
 not Gaussian, so no tolerance factor is used: k of n repeats lie within the bounds, and the
@@ -33,7 +37,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import beta, norm, t
+from scipy.stats import beta, norm, skew, t
 
 from slbench.bench.statistics import Interval, mean_interval
 
@@ -42,6 +46,9 @@ Status = Literal["holds", "fails", "undecided"]
 
 #: Probability with which the stated number of repeats would decide.
 POWER = 0.9
+#: How much larger than a sample's skewness that of all repeats is taken to be: with it, squares of
+#: normal values (skewness 2.8) at the bound hold in 2.2 % of runs with 15 repeats, not in 11.6 %.
+SKEWNESS = 1.5
 #: Differences below this are rounding, relative to the values.
 ROUNDING = 1e-9
 #: More repeats than this are no advice.
@@ -115,7 +122,7 @@ def judge_mean(values: ArrayLike, margins: Sequence[ArrayLike], confidence: floa
     if missing:
         none = Interval(float("nan"), float("nan"), float("nan"))
         return Verdict("fails", len(x), missing, none, none)
-    intervals = [mean_interval(row, confidence) for row in m]
+    intervals = [margin_interval(row, confidence) for row in m]
     nearest = min(intervals, key=lambda interval: interval.low)
     status: Status = "undecided"
     if any(interval.high < 0.0 for interval in intervals):
@@ -128,6 +135,34 @@ def judge_mean(values: ArrayLike, margins: Sequence[ArrayLike], confidence: floa
         needed = [_repeats_for_mean(row, confidence) for row in open_ones]
         decide = None if None in needed else max(n for n in needed if n is not None)
     return Verdict(status, len(x), 0, mean_interval(x, confidence), nearest, None, decide)
+
+
+def margin_interval(margin: Array, confidence: float) -> Interval:
+    """Return the mean of margins with the interval that decides.
+
+    Of Student's interval and that of P. Hall's cubic transformation (Journal of the Royal
+    Statistical Society B 54, 1992) either end is the further one.  The transformation removes the
+    first order of what skewness does to Student's t; a sample's own skewness reads low, and is
+    taken for ``SKEWNESS`` times as large.
+
+    Parameters
+    ----------
+    margin : (n,) float
+        At least two; all finite.
+    confidence : float
+    """
+    plain = mean_interval(margin, confidence)
+    n = len(margin)
+    if n < 3 or plain.high <= plain.low:
+        return plain
+    a = SKEWNESS * float(skew(margin, bias=False)) / np.sqrt(n)
+    if not abs(a) > ROUNDING:  # symmetric, or equal but for rounding
+        return plain
+    factor = t.ppf(0.5 + 0.5 * confidence, n - 1)
+    # T + a T^2 / 3 + a^2 T^3 / 27 + a / 6 = +- factor, solved for T.
+    ends = 3.0 / a * (np.cbrt(1.0 + a * (np.array([factor, -factor]) - a / 6.0)) - 1.0)
+    low, high = plain.value - ends * margin.std(ddof=1) / np.sqrt(n)
+    return Interval(plain.value, min(plain.low, float(low)), max(plain.high, float(high)))
 
 
 def judge_each(

@@ -35,24 +35,33 @@ class TestMeans:
     def test_at_the_bound_either_verdict_is_as_rare_as_stated(self, confidence):
         rates = statuses(lambda rng, n: rng.normal(1.0, 0.3, n), 1.0, 8, mean_at(confidence))
         tail = (1.0 - confidence) / 2.0
-        # Gaussian repeats: Student's interval is exact.
-        assert rates["holds"] == pytest.approx(tail, abs=slack(tail))
-        assert rates["fails"] == pytest.approx(tail, abs=slack(tail))
+        # Gaussian repeats: Student's interval is exact, what chance skewness adds takes a third.
+        for verdict in ("holds", "fails"):
+            assert 0.65 * tail - slack(tail) <= rates[verdict] <= tail + slack(tail)
 
-    def test_magnitudes(self):
-        """Errors without bias have the most skewed magnitudes: docs/how-to/claims.md states 6 %."""
-        true = np.sqrt(2.0 / np.pi)
-        rates = statuses(lambda rng, n: np.abs(rng.normal(size=n)), true, 15, mean_at(0.95))
-        assert rates["holds"] <= 0.06 + slack(0.06)
+    @pytest.mark.parametrize(
+        ("draw", "true", "n", "rate"),
+        [
+            (lambda rng, n: np.abs(rng.normal(size=n)), np.sqrt(2.0 / np.pi), 15, 0.025),
+            (lambda rng, n: np.abs(rng.normal(size=n)), np.sqrt(2.0 / np.pi), 5, 0.035),
+            (lambda rng, n: rng.normal(size=n) ** 2, 1.0, 15, 0.025),
+            (lambda rng, n: rng.exponential(size=n), 1.0, 15, 0.025),
+        ],
+    )
+    def test_skewed_values(self, draw, true, n, rate):
+        """Magnitudes of errors without bias, and their squares: docs/how-to/claims.md."""
+        rates = statuses(draw, true, n, mean_at(0.95))
+        assert rates["holds"] <= rate + slack(rate)
         assert rates["fails"] <= 0.025
 
     def test_far_from_the_bound_all_is_decided(self):
         def draw(rng, n):
             return rng.normal(1.0, 0.3, n)
 
-        # The margin is ten standard errors.
-        assert statuses(draw, 2.0, 9, mean_at(0.95))["holds"] == 1.0
-        assert statuses(draw, 0.0, 9, mean_at(0.95))["fails"] == 1.0
+        # The margin is twenty standard errors: chance skewness of nine repeats can make the
+        # interval several times as wide.
+        assert statuses(draw, 3.0, 9, mean_at(0.95))["holds"] == 1.0
+        assert statuses(draw, -1.0, 9, mean_at(0.95))["fails"] == 1.0
 
     def test_a_range_needs_both_ends(self):
         x = np.array([0.9, 1.0, 1.1, 1.0])
