@@ -32,7 +32,7 @@ from slbench.calibration.models.pinhole import PinholeModel
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import Axes, checked_inputs
 from slbench.calibration.selection import median_absolute, rms, select_models
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.registry import Registry
 
 Array = NDArray[np.float64]
@@ -322,6 +322,11 @@ def compare_methods(
     ------
     InputError
         With fewer than three heights left, or where no point has an answer by all.
+
+    Warns
+    -----
+    InputWarning
+        For a method that the points do not fit, which is left out.
     """
     labels = plane_labels(points.world[:, 2]) if planes is None else np.asarray(planes)
     if labels.shape != (len(points),):
@@ -336,7 +341,11 @@ def compare_methods(
     training = Training(train, labels[~test], camera_size, panel_size, axes)
     methods: dict[str, Predictor] = {"polynomial": select_models(train, axes=axes, seed=seed).model}
     for name in calibration_baselines.names() if baselines is None else baselines:
-        fitted = calibration_baselines.get(name)(training)
+        try:
+            fitted = calibration_baselines.get(name)(training)
+        except InputError as error:
+            warn_user(f"calibration by {name}", f"left out of the comparison: {error}")
+            continue
         if fitted is not None:
             methods[name] = fitted
     errors = {}

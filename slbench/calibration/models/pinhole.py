@@ -83,6 +83,8 @@ class PinholeModel:
     ) -> tuple[dict, float]:
         """Calibrate one device; return the arguments of its class and the RMS in px."""
         matrix, pose = resection(world, pixels, f"calibration points of the {who}")
+        # The start must lie within the image, which that of a long lens may miss.
+        matrix[:2, 2] = np.clip(matrix[:2, 2], 0.1 * np.array(size), 0.9 * np.array(size))
         # OpenCV takes single precision: coordinates about the middle keep the most of it.
         middle = world.mean(axis=0)
         flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K3

@@ -5,9 +5,10 @@ import pytest
 from calibration_data import grid_points, rig_of
 
 from slbench.calibration.baselines import PhaseHeightTable, compare_methods, plane_labels
+from slbench.calibration.models import pinhole
 from slbench.calibration.models.pinhole import PinholeModel, resection
 from slbench.calibration.models.points import CalibrationPoints
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
 
 
 def sizes(name):
@@ -139,6 +140,26 @@ class TestComparison:
         for name, score in first.scores.items():
             assert second.scores[name].rms["z"] == score.rms["z"]
             assert second.scores[name].rms["x"] == pytest.approx(0.01, rel=1e-2)
+
+    def test_a_method_that_does_not_fit_takes_no_other_with_it(self, monkeypatch):
+        def fails(*_):
+            raise InputError("calibration of the projector", "points that fit a pinhole", "none")
+
+        monkeypatch.setattr(PinholeModel, "fit", fails)
+        with pytest.warns(InputWarning, match="calibration by pinholes: left out"):
+            found = compare_methods(grid_points(), *sizes("ch8-grid"))
+        assert set(found.scores) == {"polynomial", "linear table", "reciprocal table"}
+
+    def test_the_calibration_may_begin_with_a_principal_point_outside(self, monkeypatch):
+        """As that of a volume that is small beside its distance, whose dots are noisy, does."""
+
+        def outside(*given):
+            matrix, pose = resection(*given)
+            return matrix - np.array([[0, 0, 1e4], [0, 0, 0], [0, 0, 0]]), pose
+
+        monkeypatch.setattr(pinhole, "resection", outside)
+        model = PinholeModel(*sizes("ch8-grid")).fit(grid_points(noise_px=0.05))
+        assert max(model.reprojection_rms_px_) < 0.1
 
     def test_pinholes_need_both_axes(self):
         points = grid_points(noise_px=0.05)
