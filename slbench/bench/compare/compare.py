@@ -192,7 +192,9 @@ def compare(
         values: dict[tuple[str, str], float] = {}
         draws: dict[tuple[str, str], Array] = {}
         for one in chosen:
-            known, drawn = _pooled(one, found[one.name], common, repeats, seed, resamples)
+            alike = [other for other in chosen if other.sequence == one.sequence]
+            typical = _typical(alike, found, common)
+            known, drawn = _pooled(one, found[one.name], common, *typical, repeats, seed, resamples)
             values |= {(one.name, quantity): value for quantity, value in known.items()}
             draws |= {(one.name, quantity): array for quantity, array in drawn.items()}
         results = tuple(
@@ -269,19 +271,37 @@ def _common(found: dict[str, Repeats], repeats: int) -> NDArray[np.bool_]:
     return common
 
 
+def _typical(
+    alike: Sequence[PatternSet], found: dict[str, Repeats], common: NDArray[np.bool_]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return of which pixels the deviations and the distances of sets are.
+
+    Sets of the same patterns have the same ones, whatever their decoders predict: they would else
+    be told apart by their pixels.
+    """
+    predicted = [found[one.name].predicted_mm for one in alike]
+    floors = [_floor(one, found[one.name]) for one in alike]
+    expected = [np.hypot(*pair) for pair in zip(floors, predicted, strict=True)]
+    return middle_half(predicted, common), middle_half(expected, common)
+
+
+def _floor(one: PatternSet, found: Repeats) -> Array:
+    """Return distances without noise; none of codes of steps, which decide otherwise with it."""
+    return np.nan_to_num(found.floor_mm) * _fringes(one)
+
+
 def _pooled(
     one: PatternSet,
     found: Repeats,
     common: NDArray[np.bool_],
+    steady: NDArray[np.bool_],
+    near: NDArray[np.bool_],
     repeats: int,
     seed: int,
     resamples: int,
 ) -> tuple[dict[str, float], dict[str, Array]]:
     """Return pooled deviations and distances by name, and draws of what they may be."""
-    # Without noise, codes of steps decide at their edges otherwise than with it.
-    floor = np.nan_to_num(found.floor_mm) * _fringes(one)
-    steady = middle_half(found.predicted_mm, common)
-    near = middle_half(np.hypot(floor, found.predicted_mm), common)
+    floor = _floor(one, found)
     pooled = {
         "std": found.sums["std"].pooled(steady),
         "std_z": found.sums["std_z"].pooled(steady),

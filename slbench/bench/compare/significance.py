@@ -105,21 +105,23 @@ class Sums(NamedTuple):
         return Pooled(mean, 2.0 * total**2 / variance if variance > 0.0 else math.inf)
 
 
-def middle_half(values: Array, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def middle_half(values: Sequence[Array], among: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a mask of the pixels whose values lie between the quartiles.
 
     Parameters
     ----------
-    values : (P,) float
-        By which pixels are ordered: what is expected of them, and not what is pooled.
+    values : sequence of (P,) float
+        By which pixels are ordered: what is expected of them, and not what is pooled; the geometric
+        mean of sets whose pixels are to be the same.
     among : (P,) bool
         The pixels; those of no value are left out.
     """
-    known = among & np.isfinite(values)
+    order = np.mean([np.log(np.maximum(one, 1e-300)) for one in values], axis=0)
+    known = among & ~np.isnan(order)
     if not known.any():
         return known
-    low, high = np.quantile(values[known], [0.25, 0.75])
-    return known & (values >= low) & (values <= high)
+    low, high = np.quantile(order[known], [0.25, 0.75])
+    return known & (order >= low) & (order <= high)
 
 
 @dataclass(frozen=True)

@@ -456,9 +456,13 @@ class TestStatistics:
     def test_the_middle_half_is_between_the_quartiles(self):
         values = np.array([5.0, 1.0, 2.0, 3.0, 4.0, 9.0, np.nan, 0.0])
         among = np.arange(8) != 7
-        assert values[middle_half(values, among)].tolist() == [3.0, 4.0]
-        assert middle_half(np.ones(8), among).sum() == 7
-        assert not middle_half(np.full(8, np.nan), among).any()
+        assert values[middle_half([values], among)].tolist() == [3.0, 4.0]
+        assert middle_half([np.ones(8)], among).sum() == 7
+        assert not middle_half([np.full(8, np.nan)], among).any()
+        # Of several sets, whatever the level of each, the same pixels.
+        both = middle_half([values, 1e3 * values[::-1]], among)
+        assert both[[1, 2, 3, 4, 5]].any()
+        assert np.array_equal(both, middle_half([1e3 * values[::-1], values], among))
 
     def test_squares_are_pooled(self):
         sums = Sums(np.array([6.0, 4.0, 9.0]), np.array([2, 1, 0]), np.array([5.0, 1.0, 0.0]))
