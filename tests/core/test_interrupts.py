@@ -10,6 +10,15 @@ import pytest
 
 from slbench.core.interrupts import came_of_interrupt, cleaning_up, deferred
 
+
+@pytest.fixture(autouse=True)
+def interrupts():
+    """A shell that runs the tests in its background has interrupts ignored, children's too."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 DROPPED = """
 import os, signal, sys, time, weakref
 from slbench.core.interrupts import cleaning_up
