@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -19,6 +19,10 @@ def evaluate(
     full: Annotated[
         bool, typer.Option("--full", help="Every camera pixel instead of a sample.")
     ] = False,
+    convention: Annotated[
+        Literal["centres", "thesis"],
+        typer.Option(help="Reconstruct from pixel centres, or as table 5 of the thesis."),
+    ] = "centres",
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
@@ -34,6 +38,7 @@ def evaluate(
         load_hardware(hardware, allow_modules=allow_modules),
         rows,
         stride=(1, 1) if full else THESIS_STRIDE,
+        convention=convention,
     )
     if as_json:
         print_json(result.rows())

@@ -79,6 +79,37 @@ def test_configuration_5_against_the_feasible_one():
     assert result.mu_mm[0] / result.mu_mm[1] == pytest.approx(0.68, abs=0.06)
 
 
+def test_table_5_s_errors_by_the_convention_that_it_must_have_had():
+    ours = columns(evaluate(MACRO, TABLE_4, convention="thesis"))
+    ratio = ours[:, 0] / TABLE_5[:, 0]
+    assert np.median(ratio) == pytest.approx(0.88, abs=0.01)
+    assert np.std(ratio) / np.mean(ratio) < 0.03  # 0.14 with pixel centres
+    assert spearmanr(ours[:, 0], TABLE_5[:, 0])[0] > 0.99
+    assert spearmanr(ours[:, 1], TABLE_5[:, 1])[0] > 0.94
+    # Correspondences are the same: only where a point is reconstructed differs.
+    np.testing.assert_array_equal(ours[:, 2:], columns(evaluate(MACRO, TABLE_4))[:, 2:])
+    # The thesis measured 0.712.
+    pair = evaluate(MACRO, np.stack((TABLE_4[4], FEASIBLE)), convention="thesis")
+    assert pair.mu_mm[0] / pair.mu_mm[1] == pytest.approx(0.717, abs=0.002)
+
+
+@pytest.mark.parametrize(
+    ("hardware", "convention", "message"),
+    [
+        (replace(MACRO, coded_axes=2), "thesis", "one coded axis"),
+        (
+            replace(MACRO, camera=replace(MACRO.camera, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))),
+            "thesis",
+            "without distortion",
+        ),
+        (MACRO, "edges", "centres or thesis"),
+    ],
+)
+def test_conventions_are_refused_in_one_line(hardware, convention, message):
+    with pytest.raises(InputError, match=f"^convention.*{message}"):
+        evaluate(hardware, TABLE_4, convention=convention)
+
+
 # -- against the reference ----------------------------------------------------------------
 
 BENT = replace(

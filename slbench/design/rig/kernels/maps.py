@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from slbench.design.rig.hardware import Hardware, Placement
 from slbench.design.rig.kernels import loops
+from slbench.design.rig.kernels.rows import EDGES
 from slbench.rig import Device, Pose
 from slbench.rig.distortion import with_fold
 
@@ -35,8 +36,11 @@ class Maps:
     and focus distances of the hardware serve for all configurations.
     """
 
-    def __init__(self, hardware: Hardware, planes: Array, strides: tuple[int, int]) -> None:
+    def __init__(
+        self, hardware: Hardware, planes: Array, strides: tuple[int, int], edges: bool = False
+    ) -> None:
         self.hardware, self.planes, self.strides = hardware, planes, strides
+        self.coded_axes = EDGES if edges else hardware.coded_axes
         camera, projector = hardware.camera, hardware.projector
         self.rows = -(-camera.height // strides[1])
         self.columns = -(-camera.width // strides[0])
@@ -65,7 +69,7 @@ class Maps:
             self.planes,
             self.half,
             self.size,
-            self.hardware.coded_axes,
+            self.coded_axes,
             *map(
                 np.ascontiguousarray,
                 (

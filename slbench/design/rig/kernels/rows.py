@@ -22,6 +22,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+#: In place of a number of coded axes: one axis, reconstructed as the thesis's table 5 must have
+#: been, from a ray and a place of the column that are not the pixels' centres, px.
+EDGES = -1
+EDGE_RAY, EDGE_COLUMN = 0.25, 0.75
+
 #: How far edges are moved, panel pixels: a thousand times the rounding of a coordinate of some
 #: thousand pixels.
 _HAIR = 1e-9
@@ -47,9 +52,32 @@ def ideal_row(  # type: ignore[no-untyped-def]
     for j in range(error.shape[0]):
         if not np.isnan(error[j]):
             point = (xs[j], ys[j], z)
+            if coded_axes == EDGES:
+                error[j] = _edge_error(u0 + j * stride, v, columns[j], point, ground, optics)
+                continue
             ray = _camera_ray(point, optics)
             origin, direction = _panel_ray(columns[j], lines[j], optics)
             error[j] = _midpoint_error(point, ray, origin, direction)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _edge_error(u, v, column, point, ground, optics):  # type: ignore[no-untyped-def]
+    """Error with a ray of the pixel beside its centre and an edge of the panel column (EDGES)."""
+    us, vs = u + EDGE_RAY, v + EDGE_RAY
+    scale = ground[2, 0] * us + ground[2, 1] * vs + ground[2, 2]
+    x = (ground[0, 0] * us + ground[0, 1] * vs + ground[0, 2]) / scale
+    y = (ground[1, 0] * us + ground[1, 1] * vs + ground[1, 2]) / scale
+    z = point[2]
+    position, axis, matrix = optics[0], optics[1], optics[2]
+    dx, dy, dz = axis[0], axis[1], axis[2]
+    if dx == 0.0 and dy == 0.0 and dz == 0.0:
+        dx, dy, dz = x - position[0], y - position[1], z - position[2]
+    at = column + EDGE_COLUMN
+    n0, n1 = matrix[0, 0] - at * matrix[2, 0], matrix[0, 1] - at * matrix[2, 1]
+    n2, n3 = matrix[0, 2] - at * matrix[2, 2], matrix[0, 3] - at * matrix[2, 3]
+    t = -(n0 * x + n1 * y + n2 * z + n3) / (n0 * dx + n1 * dy + n2 * dz)
+    ex, ey, ez = x + t * dx - point[0], y + t * dy - point[1], t * dz
+    return np.sqrt(ex * ex + ey * ey + ez * ez)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
