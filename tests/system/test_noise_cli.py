@@ -19,6 +19,12 @@ def outcome(tmp_path_factory):
     return out, json.loads(done.out)
 
 
+def deviations(printed, name):
+    """Of a way, (fringes, heights); infinite where fringes are washed out."""
+    sigma = np.array(printed[name]["sigma_rad"], float)
+    return np.where(np.isnan(sigma), np.inf, sigma)
+
+
 @pytest.mark.slow
 def test_files_and_numbers(outcome):
     out, printed = outcome
@@ -29,7 +35,7 @@ def test_files_and_numbers(outcome):
         table = PhaseNoise.read(out / f"{name}.csv")
         assert table.fringes.tolist() == [1, 2, 4, 8, 16, 32]
         np.testing.assert_allclose(table.z_mm, [-0.25, 0.25])
-        np.testing.assert_allclose(table.sigma_rad, printed[name]["sigma_rad"], rtol=1e-8)
+        np.testing.assert_allclose(table.sigma_rad, deviations(printed, name), rtol=1e-8)
     assert cv2.imread(str(out / "noise.png")).shape[1] == 1560
 
 
@@ -37,7 +43,7 @@ def test_files_and_numbers(outcome):
 def test_out_of_focus_fusion_by_modulation_more_than_halves_the_noise(outcome):
     _, printed = outcome
     single, modulation, lit = (
-        np.array(printed[name]["sigma_rad"]) for name in ("single", "fused-modulation", "fused-lit")
+        deviations(printed, name) for name in ("single", "fused-modulation", "fused-lit")
     )
     # Measured 0.35 for 16 fringes and 0.1 for 32; two repeats of 50,000 pixels know
     # each to 1 %.
