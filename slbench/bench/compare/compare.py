@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -49,7 +49,7 @@ from slbench.patterns import PatternSource
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.floors import more_samples
+from slbench.simulate.floors import more_samples, rms
 from slbench.simulate.stack import traced
 from slbench.simulate.transport import LightTransport
 
@@ -207,7 +207,7 @@ def compare(
             {name: draws[name, quantity] for name in found} for quantity in ("std", "error")
         )
         ranking = ranked(std)
-    if question and (doubt := _samples_doubt(results, transports[0].samples)):
+    if question and (doubt := _samples_doubt(results, values, transports[0].samples)):
         warn_user(f"scene {scene.name}", doubt)
     seconds["total"] = time.perf_counter() - begin
     return Comparison(
@@ -235,10 +235,15 @@ def compare(
     )
 
 
-def _samples_doubt(results: Sequence[SetResult], samples: int) -> str | None:
-    """Question a number of samples whose Monte Carlo error is seen in the distance from truth."""
+def _samples_doubt(
+    results: Sequence[SetResult], values: Mapping[tuple[str, str], float], samples: int
+) -> str | None:
+    """Question a number of samples whose Monte Carlo error is seen in the distance from truth.
+
+    Both are pooled over the same pixels.
+    """
     counts = [
-        more_samples(samples, one.error_median_mm, one.monte_carlo_median_mm) or 0
+        more_samples(samples, one.error_median_mm, values[one.name, "sampling"]) or 0
         for one in results
     ]
     more = max(counts)
@@ -246,7 +251,7 @@ def _samples_doubt(results: Sequence[SetResult], samples: int) -> str | None:
         return None
     worst = results[counts.index(more)]
     return (
-        f"sampling makes {length(worst.monte_carlo_median_mm)} of the "
+        f"sampling makes {length(values[worst.name, 'sampling'])} of the "
         f"{length(worst.error_median_mm)} error of {{{worst.name}}}: {more} samples a pixel "
         f"instead of {samples} would change it (render.samples)"
     )
@@ -327,6 +332,7 @@ def _pooled(
             spread = spread_draws(more * freedom, own, resamples)
             squares[name] = np.maximum(squares[name] + share * square * (spread - 1.0), 0.0)
     roots = {name: square.root for name, square in pooled.items()}
+    roots["sampling"] = rms([found.sampling_mm[near]])
     return roots | {"predicted": predicted}, {k: np.sqrt(v) for k, v in squares.items()}
 
 

@@ -256,7 +256,7 @@ def test_single_step_by_hand():
     # With a tenth of the noise 25 fringes are as safe as five were with all of it.
     finer = single_step(400, PhaseNoise.constant(0.01, [1, 5, 25]), [1, 5, 25])
     assert finer.fringes == (1, 25)
-    assert finer.sigma_rad == pytest.approx(0.0004, rel=1e-4)
+    assert finer.sigma_rad == pytest.approx(float(phase_deviation(0.01)) / 25, rel=1e-9)
     # Where unwrapping only harms, the first set stays alone.
     assert single_step(400, PhaseNoise.constant(2.0, [1, 5, 25]), [1, 5, 25]).fringes == (1,)
 
@@ -266,7 +266,8 @@ def test_doubling_by_hand():
     assert doubling(400, MACRO_NOISE, counts).fringes == (1, 2, 4, 8, 16)  # 32 divides no 400
     assert doubling(400, MACRO_NOISE, [1, 2, 8, 16]).fringes == (1, 2)
     assert doubling(400, MACRO_NOISE, [1, 5, 10]).fringes == (1,)
-    assert doubling(400, MACRO_NOISE, counts).sigma_rad == pytest.approx(0.036 / 16, rel=1e-3)
+    own = float(phase_deviation(0.036)) / 16
+    assert doubling(400, MACRO_NOISE, counts).sigma_rad == pytest.approx(own, rel=1e-9)
 
 
 # -- predictions ----------------------------------------------------------------------------------
@@ -451,7 +452,7 @@ def test_design_as_patterns_and_as_plain_values():
     assert plain["fringes"] == [1, 5, 25]
     assert plain["frames"] == 12
     assert plain["sigma_rad"] == design.sigma_rad == plain["steps"][-1]["sigma_rad"]
-    assert plain["reference"]["sigma_rad"] == pytest.approx(0.05, rel=2e-3)
+    assert plain["reference"]["sigma_rad"] == pytest.approx(float(phase_deviation(0.05)))
     assert [row["shifts"] for row in plain["steps"]] == [4, 5]
     assert "criterion" not in plain["steps"][0]
     assert "criterion" in thesis_sequence(400, noise, [1, 5, 25]).to_dict()["steps"][0]
