@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, Preview, Seed, print_json, print_table, progress
+from slbench.cli.common import (
+    AllowModules,
+    Json,
+    Preview,
+    SceneChanges,
+    Seed,
+    print_json,
+    print_table,
+    progress,
+)
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError, located
 
@@ -34,6 +43,7 @@ def check(
         ),
     ] = None,
     seed: Seed = 0,
+    changes: SceneChanges = None,
     preview: Preview = False,
     allow_modules: AllowModules = False,
     as_json: Json = False,
@@ -54,13 +64,18 @@ def check(
     from slbench.bench.claims.file import load_claims
     from slbench.bench.claims.junit import write_junit
     from slbench.bench.claims.pools import Pools
+    from slbench.scene.changes import read_changes
 
-    loaded = load_claims(claims, preview=preview, allow_modules=allow_modules)
+    made = read_changes(changes or (), "--set")
+    loaded = load_claims(claims, preview=preview, allow_modules=allow_modules, changes=made)
     kept = baseline or default_path(claims)
     if junit is not None:
         _check_path("--junit", junit, claims, kept)
     if update:
         _check_path("--baseline", kept, claims)
+        if made and baseline is None:
+            expected = f"no --set, or another --baseline: {kept} is of the scenes as they are"
+            raise InputError("--update", expected, f"--set {made[0].key}")
         if preview and kept.is_file() and not read_baseline(kept).preview:
             expected = f"no --preview, or another --baseline: {kept} is of full size"
             raise InputError("--update", expected, "--preview")
@@ -70,7 +85,10 @@ def check(
             for claim in loaded:
                 pools.check(claim)
         old: Baseline | None = None
-        if not update and (baseline is not None or kept.is_file()):
+        if made and baseline is None:
+            if not update and kept.is_file():
+                print(f"{kept} is of the scenes as they are: not compared", file=sys.stderr)
+        elif not update and (baseline is not None or kept.is_file()):
             old = read_baseline(kept)
             if preview and not old.preview and baseline is None:
                 print(f"{kept} is not of previews: not compared", file=sys.stderr)

@@ -6,17 +6,29 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from slbench.core.registry import Registry
 from slbench.core.validation import types
 
+if TYPE_CHECKING:
+    from slbench.scene.model import Scene
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
 Seed = Annotated[types.Seed, typer.Option(help="Seed of every random draw.")]
 DatasetName = Annotated[str, typer.Argument(help="A data set: a folder or a URL.")]
 SceneName = Annotated[str, typer.Argument(help="A scene file, or the name of a shipped scene.")]
+SceneChanges = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the scene: camera.f_number=8, objects[0].position_mm[2]=1.5; "
+        "give each.",
+    ),
+]
 Weights = Annotated[
     Literal["lit", "modulation"],
     typer.Option(help="Focus stacks: sharp by lit frames' texture, or by modulation."),
@@ -38,6 +50,17 @@ AllowOutside = Annotated[
     bool,
     typer.Option("--allow-outside", help="Read a capture's files outside its folder, and links."),
 ]
+
+
+def load_changed(
+    scene: str, changes: list[str] | None, *, preview: bool = False, allow_modules: bool = False
+) -> Scene:
+    """Load a scene with what ``--set`` changes of it."""
+    from slbench.scene.changes import read_changes
+    from slbench.scene.file import load_scene
+
+    made = read_changes(changes or (), "--set")
+    return load_scene(scene, preview=preview, allow_modules=allow_modules, changes=made)
 
 
 def listed(text: str, registry: Registry[Any], option: str) -> list[str]:

@@ -13,6 +13,7 @@ from slbench.cli.common import (
     Preview,
     Seed,
     Weights,
+    load_changed,
     print_json,
     print_table,
     progress,
@@ -27,7 +28,10 @@ if TYPE_CHECKING:
     from slbench.bench.compare.comparison import Comparison
 
 
-@command("slbench compare step-block --set 1,10,50 --set 1,2,4 --set gray --repeats 15 --preview")
+@command(
+    "slbench compare step-block --set 1,10,50 --set 1,2,4 --set gray "
+    "--set exposure.vibration_px=0.1 --repeats 15 --preview"
+)
 def compare(
     scene: Annotated[
         str | None, typer.Argument(help="A scene file, or the name of a shipped scene.")
@@ -38,7 +42,8 @@ def compare(
             "--set",
             metavar="<str>",
             help='A pattern set: "1,10,50", "gray"; a TOML file, a folder of pictures, '
-            'mine.py:SET; with a decoder "1,10,50 | mine.py:decode"; give each.',
+            'mine.py:SET; with a decoder "1,10,50 | mine.py:decode"; or a key of the scene to '
+            "change: camera.f_number=8; give each.",
         ),
     ] = None,
     suite: Annotated[
@@ -67,12 +72,19 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Compare pattern sets by repeated scans in the same light."""
+    from slbench.scene.changes import is_change
+
+    # Pattern sets have no such form.
+    changes = [text for text in sets or () if is_change(text)]
+    sets = [text for text in sets or () if not is_change(text)]
     if suite:
         given = {"SCENE": scene, "--weights": None if weights == "lit" else weights}
         for name, value in given.items():
             if value is not None:
                 raise InputError("--suite", f"no {name}", value)
-        _suite(sets, repeats or 5, equal, out, report, seed, preview, allow_modules, as_json)
+        _suite(
+            sets, changes, repeats or 5, equal, out, report, seed, preview, allow_modules, as_json
+        )
         return
     if scene is None:
         raise InputError("SCENE", "a scene, or --suite", "neither")
@@ -87,13 +99,12 @@ def compare(
         verdict,
         write_comparison,
     )
-    from slbench.scene.file import load_scene
 
     if report is not None:
         from slbench.report.page import check_page_path, write_page
 
         check_page_path(report, "--report")
-    loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
+    loaded = load_changed(scene, changes, preview=preview, allow_modules=allow_modules)
     # Before anything is written, and read once: modules run once.
     read = pattern_sets(
         sets, loaded, shifts=own_shifts(loaded), equal=equal, allow_modules=allow_modules
@@ -127,7 +138,8 @@ def compare(
 
 
 def _suite(
-    sets: list[str] | None,
+    sets: list[str],
+    changes: list[str],
     repeats: int,
     equal: Literal["frames", "photons"] | None,
     out: Path | None,
@@ -146,6 +158,7 @@ def _suite(
         suite_tables,
         write_suite,
     )
+    from slbench.scene.changes import read_changes
 
     if report is not None:
         from slbench.report.page import check_page_path, write_page
@@ -161,6 +174,7 @@ def _suite(
             seed=seed,
             preview=preview,
             allow_modules=allow_modules,
+            changes=read_changes(changes, "--set"),
             on_progress=bar,
         )
         write_suite(result, folder)

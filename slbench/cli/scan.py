@@ -11,9 +11,11 @@ from slbench.cli.common import (
     AllowModules,
     Json,
     Preview,
+    SceneChanges,
     SceneName,
     Seed,
     Weights,
+    load_changed,
     print_json,
     print_table,
     progress,
@@ -57,16 +59,16 @@ def scan(
     page: Annotated[
         Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
     ] = None,
+    changes: SceneChanges = None,
     preview: Preview = False,
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
     """Measure a scene: trace, capture, decode, triangulate, score."""
-    from slbench.scene.file import load_scene
     from slbench.simulate.folder import check_scan_folder, write_scan
     from slbench.simulate.scan import scan as run
 
-    loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
+    loaded = load_changed(scene, changes, preview=preview, allow_modules=allow_modules)
     if patterns is not None or steps is not None or axes is not None:
         loaded = loaded.with_changed_patterns(
             patterns, steps, axes, allow_modules=allow_modules, names=("--steps", "--axes")

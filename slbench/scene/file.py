@@ -7,13 +7,17 @@ to the scene's folder and cannot leave it.
 anything else (lists too) is replaced.  What several scenes share thus stands once, in
 ``scenes/hardware``.  A detector or a material of another kind has other keys, and is replaced.
 
+``[set]`` changes single keys of what a scene extends, elements of its lists too:
+``"objects[0].position_mm[2]" = 1.5`` (:mod:`slbench.scene.changes`).  A user's own changes, of
+``load_scene`` and ``--set``, come last.
+
 ``modules = ["my_codes.py"]`` names Python files beside the scene that add to the registries
 (:mod:`slbench.core.modules`); those of a scene that is extended run first.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,6 +31,7 @@ from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
 from slbench.core.registry import quoted
 from slbench.core.validation.values import validated
+from slbench.core.validation.wording import shown
 from slbench.detector.base import DEFAULT as DEFAULT_DETECTOR
 from slbench.detector.base import detector_of
 from slbench.patterns import PatternSequence, read_patterns
@@ -34,6 +39,14 @@ from slbench.patterns.given import PatternsTable
 from slbench.rig import Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
+from slbench.scene.changes import (
+    Change,
+    Changes,
+    apply_changes,
+    listed,
+    naming_changes,
+    read_changes,
+)
 from slbench.scene.doubts import scene_doubts
 from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject
@@ -44,7 +57,11 @@ _PREVIEW_WIDTH = 320
 
 
 def load_scene(
-    name_or_path: str | Path, *, preview: bool = False, allow_modules: bool = False
+    name_or_path: str | Path,
+    *,
+    preview: bool = False,
+    allow_modules: bool = False,
+    changes: Changes = (),
 ) -> Scene:
     """Load a scene from a TOML file.
 
@@ -57,6 +74,10 @@ def load_scene(
         ``[preview]``, by default at most 320 pixels wide with 16 samples each.
     allow_modules : bool
         Run the Python modules that the file names: code of its author.
+    changes : sequence of str, or mapping
+        Of the file's keys: ``["camera.f_number=8"]`` or ``{"camera.f_number": 8}``
+        (:mod:`slbench.scene.changes`).  The scene's ``specification`` has them, in their places and
+        listed as ``set``.
 
     Returns
     -------
@@ -65,15 +86,20 @@ def load_scene(
     Raises
     ------
     InputError
-        Naming the file and key of the first thing that cannot be used.
+        Naming the file and key, or the change, of the first thing that cannot be used.
 
     Warns
     -----
     InputWarning
         For what can be used and was probably meant otherwise (:mod:`slbench.scene.doubts`).
+
+    Examples
+    --------
+    >>> load_scene("plane", changes=["camera.f_number=8"]).rig.camera.lens.aperture_radius_mm
+    1.0
     """
     path = resources.find("scenes", name_or_path)
-    scene, file = _load(path, _objects, allow_modules)
+    scene, file = _load(path, _objects, allow_modules, read_changes(changes))
     for what, doubt in scene_doubts(scene, file):
         warn_user(f"{path.name}: {what}", doubt)
     if not preview:
@@ -105,11 +131,15 @@ def _load(
     path: Path,
     build_objects: Callable[[SceneTables, Path], tuple[SceneObject, ...]],
     allow_modules: bool,
+    changes: Sequence[Change] = (),
 ) -> tuple[Scene, SceneTables]:
-    content = read_merged(path, allow_modules)
-    file = validated(SceneTables, content, path.name, separator=": ")
-    with located(path.name):
-        return _build(file, path, content, build_objects(file, path), allow_modules), file
+    content = apply_changes(read_merged(path, allow_modules), changes)
+    with naming_changes(path.name, changes):
+        file = validated(SceneTables, content, path.name, separator=": ")
+        if changes:  # for whoever asks where a result comes from
+            content["set"] = listed(changes)
+        with located(path.name):
+            return _build(file, path, content, build_objects(file, path), allow_modules), file
 
 
 def read_merged(
@@ -141,12 +171,27 @@ def extended(
     """
     content = dict(content)
     base = content.pop("extends", None)
+    own_changes = _own_changes(content.pop("set", {}), f"{path.name}: set")
     merged = content if base is None else _with_base(content, base, path, allow_modules, seen)
+    merged = apply_changes(merged, own_changes) if own_changes else merged
     names = content.get("modules", ())
     own = load_modules(names, path.parent, allow_modules, f"{path.name}: modules")
     before = () if base is None else merged.get("modules", ())
     merged.pop("modules", None)
     return merged | {"modules": (*before, *own)} if before or own else merged
+
+
+def _own_changes(table: Any, where: str) -> tuple[Change, ...]:
+    """Return the changes of a file's ``[set]``, whose keys are written in quotation marks."""
+    if not isinstance(table, dict):
+        raise InputError(where, 'a table, such as "camera.f_number" = 8', shown(table))
+    for key, value in table.items():
+        if isinstance(value, dict):
+            expected = (
+                f'the key in quotation marks, such as "{key}.{next(iter(value), "f_number")}"'
+            )
+            raise InputError(f"{where}.{key}", expected, shown(value))
+    return read_changes({key: None if v == "" else v for key, v in table.items()}, where)
 
 
 def _with_base(

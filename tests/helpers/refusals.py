@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args, get_origin
 import annotated_types as at
 import numpy as np
 
-from slbench.core.validation.wording import _fields, base_of, metadata_of
+from slbench.core.validation.wording import base_of, metadata_of, table_fields
 
 #: Nothing that any field takes.
 STRANGER = object()
@@ -75,7 +75,7 @@ def tables(model: Any, good: Mapping[str, Any]) -> Iterator[tuple[str, dict[str,
     good : mapping
         A table that it takes; nested tables in it are varied, too.
     """
-    fields = _fields(model)
+    fields = table_fields(model)
     for key, hint in fields.items():
         misspelt = {(k if k != key else f"{key}x"): v for k, v in good.items()}
         if key in good:
@@ -100,7 +100,7 @@ def required(model: Any) -> Iterator[str]:
 
 
 def _nested(base: Any, good: Any) -> Iterator[tuple[str, Any]]:
-    if isinstance(good, Mapping) and _fields(base):
+    if isinstance(good, Mapping) and table_fields(base):
         yield from tables(base, good)
     elif get_origin(base) is tuple and isinstance(good, list | tuple) and good:
         for key, value in _nested(base_of(get_args(base)[0]), good[0]):

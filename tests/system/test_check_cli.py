@@ -195,3 +195,49 @@ def test_help_has_an_example():
     outcome = run_cli("check", "--help")
     assert outcome.status == 0
     assert "slbench check accuracy.claims.toml" in " ".join(outcome.out.split())
+
+
+class TestChangedScenes:
+    """``set`` in a claim, and ``--set`` for all of them."""
+
+    def test_a_claim_compares_a_scene_with_itself_changed(self, folder):
+        worse = TRUE | {"name": "shaken", "max": "1.2 * smooth_rms_px.u"}
+        worse |= {"set": ["exposure.vibration_px=0.1"]}
+        worse |= {"versus": {"set": ["exposure.vibration_px=0"]}}
+        outcome = run_cli("check", written(folder, worse), "--json")
+        assert outcome.status == 1, outcome.err
+        (claim,) = json.loads(outcome.out)["claims"]
+        assert claim["measured"] > 1.5 * claim["bounds"][0]
+
+    def test_set_on_the_command_line_changes_all(self, folder):
+        path = written(folder, TRUE, TRUE | {"name": "other", "max": 0.4})
+        plain = json.loads(run_cli("check", path, "--json").out)["claims"]
+        done = run_cli("check", path, "--json", "--set", "exposure.vibration_px=0.1")
+        for now, then in zip(json.loads(done.out)["claims"], plain, strict=True):
+            assert now["measured"] > 1.5 * then["measured"]
+
+    def test_a_baseline_is_of_the_scenes_as_they_are(self, folder):
+        path = written(folder, TRUE)
+        assert run_cli("check", path, "--update").status == 0
+        change = ("--set", "camera.f_number=5.6")
+        outcome = run_cli("check", path, *change)
+        assert "not compared" in outcome.err
+        refused = run_cli("check", path, *change, "--update")
+        check_refused(refused, "--update", "no --set", "camera.f_number")
+        own = folder / "own.json"
+        assert run_cli("check", path, *change, "--update", "--baseline", own).status == 0
+        assert run_cli("check", path, *change, "--baseline", own).status == 0
+        check_refused(run_cli("check", path, "--baseline", own), "another")
+
+    @pytest.mark.parametrize(
+        ("options", "claim", "words"),
+        [
+            (["--set", "camera.fnumber=2"], {}, ("--set camera.fnumber", "f_number")),
+            ([], {"set": ["camera.fnumber=2"]}, ('claim "true"', "set camera.fnumber", "f_number")),
+            ([], {"set": ["f_number"]}, ('claim "true"', "key=value")),
+            ([], {"set": "camera.f_number=2"}, ('claim "true"', "set", "a list")),
+        ],
+    )
+    def test_refused(self, folder, options, claim, words):
+        outcome = run_cli("check", written(folder, TRUE | claim), *options)
+        check_refused(outcome, *words)

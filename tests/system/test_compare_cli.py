@@ -101,3 +101,28 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path, monkeypatch):
 
 def test_an_unknown_scene_is_refused():
     check_refused(run_cli("compare", "no-such-scene", "--set", "1,8"), "no-such-scene")
+
+
+def test_set_changes_keys_of_the_scene(tmp_path):
+    scene = write_scene(tmp_path)
+    sets = ("--set", "1,8", "--set", "exposure.vibration_px=0.5", "--repeats", 3, "--json")
+    plain = run_cli("compare", scene, *sets[:2], *sets[4:], "--out", tmp_path / "a")
+    shaken = run_cli("compare", scene, *sets, "--out", tmp_path / "b")
+    assert shaken.status == 0, shaken.err
+    (one,), (two,) = (json.loads(done.out)["sets"] for done in (plain, shaken))
+    assert two["std_median_mm"] > 1.5 * one["std_median_mm"]
+    made = read_json(tmp_path / "b" / "provenance.json")["parameters"]["scene"]
+    assert made["set"] == {"exposure.vibration_px": 0.5}
+    assert made["exposure"]["vibration_px"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("sets", "words"),
+    [
+        (["1,8", "camera.f_numer=8"], ("--set camera.f_numer", "did you mean 'f_number'?")),
+        (["camera.f_number=8"], ("--set", "pattern sets")),
+    ],
+)
+def test_wrong_keys_are_refused(tmp_path, sets, words):
+    options = [word for one in sets for word in ("--set", one)]
+    check_refused(run_cli("compare", write_scene(tmp_path), *options), *words)

@@ -17,6 +17,7 @@ from slbench.bench.claims.verdicts import MAX_REPEATS, Verdict, judge_each, judg
 from slbench.bench.statistics import Interval
 from slbench.core.errors import InputError, warn_user
 from slbench.core.show.display import brief
+from slbench.scene.changes import Changes
 
 Array = NDArray[np.float64]
 
@@ -144,6 +145,7 @@ def check(
     seed: int = 0,
     preview: bool = False,
     allow_modules: bool = False,
+    changes: Changes = (),
     on_progress: Callable[[str, float], None] | None = None,
 ) -> list[Result]:
     """Measure what a claims file claims, and judge it.
@@ -158,6 +160,8 @@ def check(
         Measure all scenes with few pixels and samples, whatever the claims say.
     allow_modules : bool
         Run the Python modules that the file and its scenes name: code of their authors.
+    changes : sequence of str, or mapping
+        Of every scene: ``["camera.f_number=8"]`` (:mod:`slbench.scene.changes`).
     on_progress : callable, optional
         Called with the name of the scene and the finished fraction of its repeats.
 
@@ -171,7 +175,7 @@ def check(
     InputError
         Naming the claim, for a file that cannot be used or a scene that cannot be measured.
     """
-    claims = load_claims(path, preview=preview, allow_modules=allow_modules)
+    claims = load_claims(path, preview=preview, allow_modules=allow_modules, changes=changes)
     pools = Pools(seed, on_progress, allow_modules)
     for claim in claims:  # a mistake is found before anything is measured
         pools.check(claim)

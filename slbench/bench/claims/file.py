@@ -20,7 +20,7 @@ file and the claim.
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -40,6 +40,7 @@ from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import LARGEST, Axes, Confidence, Samples, Shifts, Word
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
+from slbench.scene.changes import Change, Changes, listed, read_changes
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,7 @@ class _Settings(Parameters):
     samples: Samples | None = None
     preview: bool | None = None
     noise: bool | None = None
+    set: tuple[Word, ...] | None = None
 
 
 class _Claim(_Settings):
@@ -94,7 +96,8 @@ class _File(Parameters):
 class Settings:
     """How a scene is measured: file, and what differs from it.
 
-    ``folder`` is that of the claims file, where it names patterns: files stand in it.
+    ``changes`` are of the scene's keys.  ``folder`` is that of the claims file, where it names
+    patterns: files stand in it.
     """
 
     scene: Path
@@ -104,6 +107,7 @@ class Settings:
     samples: int | None = None
     preview: bool = False
     noise: bool = True
+    changes: tuple[Change, ...] = ()
     folder: Path | None = None
 
 
@@ -212,12 +216,18 @@ class Claim:
 
 def _identity(settings: Settings) -> dict[str, Any]:
     """Return settings wherever their files stand."""
-    values = asdict(settings) | {"scene": settings.scene.name}
-    return {name: value for name, value in values.items() if name != "folder"}
+    values = {f.name: getattr(settings, f.name) for f in fields(settings)}
+    del values["folder"], values["changes"]
+    changed = {"set": listed(settings.changes)} if settings.changes else {}
+    return values | {"scene": settings.scene.name} | changed
 
 
 def load_claims(
-    path: str | Path, *, preview: bool = False, allow_modules: bool = False
+    path: str | Path,
+    *,
+    preview: bool = False,
+    allow_modules: bool = False,
+    changes: Changes = (),
 ) -> tuple[Claim, ...]:
     """Read a claims file.
 
@@ -230,6 +240,8 @@ def load_claims(
     allow_modules : bool
         Run the Python modules that the file names (``modules = ["my_quantities.py"]`` at its
         top): code of its author.
+    changes : sequence of str, or mapping
+        Of every scene, after a claim's own ``set`` (:mod:`slbench.scene.changes`).
 
     Returns
     -------
@@ -242,7 +254,7 @@ def load_claims(
         Naming file, claim and key.  Quantities of scans are checked against their scene later
         (:meth:`slbench.bench.claims.pools.Pools.check`).
     """
-    path = Path(path)
+    path, made = Path(path), read_changes(changes)
     file = validated(_File, read_toml(path), path.name, separator=": ")
     load_modules(file.modules, path.parent, allow_modules, f"{path.name}: modules")
     tables = file.claim
@@ -258,15 +270,19 @@ def load_claims(
             claim = _claim(validated(_Claim, table, where, separator=": "), where, path.parent)
         if any(claim.name == other.name for other in claims):
             raise InputError(f"{where}: name", "a name that no other claim has", repr(claim.name))
-        claims.append(_previewed(claim) if preview else claim)
+        claims.append(_for_all(claim, preview, made))
     return tuple(claims)
 
 
-def _previewed(claim: Claim) -> Claim:
-    def few(settings: Settings) -> Settings:
-        return replace(settings, preview=True, samples=None)
+def _for_all(claim: Claim, preview: bool, changes: tuple[Change, ...]) -> Claim:
+    """Return a claim with what the user says of all of them."""
 
-    return replace(claim, settings=few(claim.settings), versus=few(claim.versus))
+    def changed(settings: Settings) -> Settings:
+        if preview:
+            settings = replace(settings, preview=True, samples=None)
+        return replace(settings, changes=(*settings.changes, *changes))
+
+    return replace(claim, settings=changed(claim.settings), versus=changed(claim.versus))
 
 
 def _claim(table: _Claim, where: str, folder: Path) -> Claim:
@@ -400,8 +416,12 @@ def _number(value: Any) -> float | None:
 
 def _settings(table: _Settings, base: Settings, folder: Path, where: str = "") -> Settings:
     """Return `base` with what a table gives."""
-    given = {k: getattr(table, k) for k in _Settings.model_fields if k != "scene"}
+    own = [k for k in _Settings.model_fields if k not in ("scene", "set")]
+    given = {k: getattr(table, k) for k in own}
     changed = replace(base, **{k: value for k, value in given.items() if value is not None})
+    if table.set is not None:
+        made = read_changes(table.set, where=f"{where}.set" if where else "set")
+        changed = replace(changed, changes=(*base.changes, *made))
     if changed.patterns is not None:
         changed = replace(changed, folder=folder)
     if where and table.scene is not None:

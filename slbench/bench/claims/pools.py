@@ -323,7 +323,12 @@ def _digest(content: bytes) -> str:
 
 def _load(settings: Settings, allow_modules: bool) -> Scene:
     """Load a scene and change what the settings change."""
-    scene = load_scene(settings.scene, preview=settings.preview, allow_modules=allow_modules)
+    scene = load_scene(
+        settings.scene,
+        preview=settings.preview,
+        allow_modules=allow_modules,
+        changes=settings.changes,
+    )
     if any(value is not None for value in (settings.patterns, settings.shifts, settings.axes)):
         scene = scene.with_changed_patterns(
             settings.patterns,

@@ -19,6 +19,7 @@ from slbench.core.show.display import brief
 from slbench.core.validation import types
 from slbench.core.validation.values import checked
 from slbench.patterns import PatternSource
+from slbench.scene.changes import Changes, read_changes
 from slbench.scene.file import load_scene
 from slbench.simulate.stack import traced
 
@@ -201,6 +202,7 @@ def compare_suite(
     seed: types.Seed = 0,
     preview: bool = False,
     allow_modules: bool = False,
+    changes: Changes = (),
     on_progress: Progress | None = None,
 ) -> Suite:
     """Scan every scene with every set.
@@ -220,6 +222,8 @@ def compare_suite(
         Few pixels and samples.
     allow_modules : bool
         Run the Python modules that sets name: code of their authors.
+    changes : sequence of str, or mapping
+        Of every scene (:mod:`slbench.scene.changes`).
     on_progress : callable, optional
         Called with the name of the scene and its finished fraction.
 
@@ -237,7 +241,8 @@ def compare_suite(
     from slbench.simulate.render.groundtruth import ground_truth
 
     report = on_progress or (lambda stage, fraction: None)
-    loaded = [load_scene(name, preview=preview) for name in scenes]
+    made = read_changes(changes)
+    loaded = [load_scene(name, preview=preview, changes=made) for name in scenes]
     chosen = [
         pattern_sets(sets, one, shifts=own_shifts(one), equal=equal, allow_modules=allow_modules)
         for one in loaded

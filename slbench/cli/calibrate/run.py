@@ -12,10 +12,12 @@ from slbench.cli.common import (
     AllowModules,
     Json,
     Preview,
+    SceneChanges,
     SceneName,
     Seed,
     Weights,
     listed,
+    load_changed,
     print_json,
     progress,
 )
@@ -69,6 +71,7 @@ def run(
     page: Annotated[
         Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
     ] = None,
+    changes: SceneChanges = None,
     preview: Preview = False,
     allow_modules: AllowModules = False,
     as_json: Json = False,
@@ -81,7 +84,6 @@ def run(
     from slbench.calibration.selection import forms_for, select_models
     from slbench.report.page import check_page_path, write_page
     from slbench.report.pages.calibration import calibration_page
-    from slbench.scene.file import load_scene
     from slbench.twin.experiment import (
         Y_STEPS,
         Z_STEPS,
@@ -102,7 +104,7 @@ def run(
         check_page_path(page)
     if not np.isfinite(y_step_um) or not np.isfinite(stage_um):
         raise InputError("stage", "finite lengths (um)", f"{y_step_um}, {stage_um}")
-    loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
+    loaded = load_changed(scene, changes, preview=preview, allow_modules=allow_modules)
     chosen = None if models is None else listed(models, calibration_models, "--models")
     methods = None if baselines is None else listed(baselines, calibration_baselines, "--baselines")
     if divisor is not None:

@@ -11,8 +11,10 @@ from slbench.cli.common import (
     AllowModules,
     Json,
     Preview,
+    SceneChanges,
     SceneName,
     Seed,
+    load_changed,
     print_json,
     print_table,
     progress,
@@ -31,6 +33,7 @@ def noise(
     shifts: Annotated[Shifts, typer.Option(help="Phase shifts.")] = 3,
     repeats: Annotated[Repeats, typer.Option(help="Captures of each height.")] = 20,
     seed: Seed = 0,
+    changes: SceneChanges = None,
     preview: Preview = False,
     allow_modules: AllowModules = False,
     as_json: Json = False,
@@ -42,11 +45,10 @@ def noise(
     from slbench.core.io import OutputFolder
     from slbench.design.fringes.characterise import characterise, draw
     from slbench.design.fringes.design import candidates
-    from slbench.scene.file import load_scene
 
     folder = OutputFolder("noise", ("*.csv", "noise.png"))
     folder.check(out, "--out")
-    loaded = load_scene(scene, preview=preview, allow_modules=allow_modules)
+    loaded = load_changed(scene, changes, preview=preview, allow_modules=allow_modules)
     counts = candidates(
         loaded.rig.projector.width, max_fringes=max_fringes, min_px_per_fringe=min_px_per_fringe
     )

@@ -13,7 +13,9 @@ from slbench.cli.common import (
     AllowOutside,
     Json,
     Preview,
+    SceneChanges,
     Seed,
+    load_changed,
     print_json,
     print_table,
     progress,
@@ -48,6 +50,7 @@ APPLIES = {
     "estimator": "--capture",
     "repeats": "--scene",
     "scans": "--scene",
+    "changes": "--scene",
     "preview": "--scene",
     "shifts": "--noise-rad, --noise-table or --scene",
     "seed": "--scene or --method monte-carlo",
@@ -134,6 +137,7 @@ def patterns(
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Figure to write (.png, .pdf, .svg).")] = None,
     seed: Seed = 0,
+    changes: SceneChanges = None,
     preview: Preview = False,
     allow_modules: AllowModules = False,
     allow_outside: AllowOutside = False,
@@ -156,7 +160,6 @@ def patterns(
     from slbench.design.fringes.noise import PhaseNoise, noise_of_captures
     from slbench.design.fringes.trial import noise_of_scene, scan_repeatedly
     from slbench.report.plots.fringe_design import check_figure, draw
-    from slbench.scene.file import load_scene
 
     sources = {
         "--noise-rad": noise_rad,
@@ -173,9 +176,9 @@ def patterns(
         check_figure(plot)
     if write_noise is not None:
         check_output_file(write_noise, where="--write-noise")
-    loaded = (
-        None if scene is None else load_scene(scene, preview=preview, allow_modules=allow_modules)
-    )
+    loaded = None
+    if scene is not None:
+        loaded = load_changed(scene, changes, preview=preview, allow_modules=allow_modules)
     allowances = {"allow_modules": allow_modules, "allow_outside": allow_outside}
     shots = [Capture.load(folder, **allowances) for folder in capture or ()]
     side = "uv".index(axis)
@@ -291,7 +294,8 @@ def _check_options(context: typer.Context, chosen: list[str]) -> None:
         if source is None or source.name == "DEFAULT":
             continue
         if not any(choice in needs.replace(" or ", ", ").split(", ") for choice in chosen):
-            raise InputError(f"--{name.replace('_', '-')}", f"only with {needs}", ", ".join(chosen))
+            option = next(one.opts[0] for one in context.command.params if one.name == name)
+            raise InputError(option, f"only with {needs}", ", ".join(chosen))
 
 
 def _load_compiled(criterion: str, method: Literal["exact", "monte-carlo"]) -> None:

@@ -8,7 +8,12 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, SceneName
+from slbench.cli.common import (
+    AllowModules,
+    SceneChanges,
+    SceneName,
+    load_changed,
+)
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 from slbench.core.validation.types import Interval
@@ -28,18 +33,18 @@ def export(
             "diffraction and blur, which stock plugins do not have."
         ),
     ] = False,
+    changes: SceneChanges = None,
     allow_modules: AllowModules = False,
 ) -> None:
     """Write a scene as Mitsuba XML, if stock plugins can express it."""
     from slbench.core.io import files_beside
     from slbench.patterns import panel_response
-    from slbench.scene.file import load_scene
     from slbench.simulate.render.translate import export_xml
 
     if path.suffix.lower() != ".xml":
         raise InputError("path", "a name that ends in .xml", path)
     files_beside("export", path).check(path.parent, "path")
-    loaded = load_scene(scene, allow_modules=allow_modules)
+    loaded = load_changed(scene, changes, allow_modules=allow_modules)
     if pinhole:
         camera, projector = loaded.rig.camera, loaded.rig.projector
         pinhole_lens = replace(projector.lens, aperture_radius_mm=0.0, natural_vignetting=False)

@@ -7,7 +7,12 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, SceneName
+from slbench.cli.common import (
+    AllowModules,
+    SceneChanges,
+    SceneName,
+    load_changed,
+)
 from slbench.cli.lazy import command
 
 
@@ -15,16 +20,16 @@ from slbench.cli.lazy import command
 def show(
     scene: SceneName,
     out: Annotated[Path, typer.Option(help="The PNG to write.")],
+    changes: SceneChanges = None,
     allow_modules: AllowModules = False,
 ) -> None:
     """Draw a scene: the rig to scale, and the camera's view."""
     from slbench.core.io import check_output_file
     from slbench.report.plots.draw import scene_picture
-    from slbench.scene.file import load_scene
     from slbench.simulate.render.trace import trace
 
     check_output_file(out, (".png",))
-    loaded = load_scene(scene, preview=True, allow_modules=allow_modules)
+    loaded = load_changed(scene, changes, preview=True, allow_modules=allow_modules)
     parts = loaded.objects, loaded.rig, loaded.light
     scene_picture(loaded, trace(*parts, ("u",), samples=loaded.samples).white(), out)
     print(f"Written to {out}")

@@ -71,7 +71,7 @@ def first_error(error: ValidationError, hint: Any, values: Any, where: str, sep:
     loc = list(first["loc"])
     if first["type"] == "extra_forbidden":
         place, inner, _ = _walk(hint, loc[:-1], values)
-        keys = list(_fields(base_of(inner)))
+        keys = list(table_fields(base_of(inner)))
         return InputError(
             _written(where, place, sep), f"one of the keys {', '.join(keys)}", quoted(loc[-1], keys)
         )
@@ -118,7 +118,7 @@ def _walk(hint: Any, loc: Sequence[Any], values: Any) -> tuple[list[str | int], 
     place: list[str | int] = []
     for part in loc:
         base = base_of(hint)
-        fields = _fields(base)
+        fields = table_fields(base)
         arguments = get_args(base)
         origin = get_origin(base)
         if isinstance(part, str) and part in fields:
@@ -148,7 +148,7 @@ def base_of(hint: Any) -> Any:
     return hint
 
 
-def _fields(hint: Any) -> dict[str, Any]:
+def table_fields(hint: Any) -> dict[str, Any]:
     """Return the keys of a table and their types; none for anything else."""
     if hasattr(hint, "fields_of"):
         return hint.fields_of()
@@ -210,8 +210,8 @@ def described(hint: Any, place: Sequence[str | int] = ()) -> str:
         return _either(list(dict.fromkeys(described(m, place) for m in members)))
     if origin in (tuple, list, Sequence):
         return _list(base, metadata, place)
-    if _fields(base):
-        return f"a table with {', '.join(_fields(base))}"
+    if table_fields(base):
+        return f"a table with {', '.join(table_fields(base))}"
     if base is dict or (isinstance(origin, type) and issubclass(origin, Mapping)):
         return "a table"
     if isinstance(base, type):

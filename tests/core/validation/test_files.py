@@ -24,7 +24,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_toml
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.values import validated
-from slbench.core.validation.wording import _fields, base_of
+from slbench.core.validation.wording import base_of, table_fields
 from slbench.datasets.spec.distributions import Distribution
 from slbench.datasets.spec.specification import Specification
 from slbench.design.rig import hardware
@@ -102,7 +102,7 @@ def _reached(model: Any) -> Iterator[str]:
         for base in model.__mro__[1:]:
             if issubclass(base, Parameters):
                 yield base.__name__
-        for hint in _fields(model).values():
+        for hint in table_fields(model).values():
             yield from _reached(base_of(hint))
     elif get_origin(model) is not None:
         for argument in get_args(model):

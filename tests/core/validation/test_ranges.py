@@ -14,7 +14,7 @@ from slbench.cli import SECTIONS
 from slbench.cli.lazy import Group
 from slbench.core.registry import resolved
 from slbench.core.validation.values import Value
-from slbench.core.validation.wording import _fields, base_of, metadata_of
+from slbench.core.validation.wording import base_of, metadata_of, table_fields
 
 #: Compared with the one number that is right, or infinite by default.
 EXEMPT = {"format", "version", "focus_distance_mm"}
@@ -60,7 +60,7 @@ def test_every_number_of_every_table_and_value_has_both_ends():
     for cls in {*subclasses(Value), *subclasses(BaseModel)}:
         if not cls.__module__.startswith("slbench."):
             continue
-        for name, hint in _fields(cls).items():
+        for name, hint in table_fields(cls).items():
             for place, ends in numbers(hint, name):
                 checked += 1
                 if ends != (True, True) and name not in EXEMPT:
