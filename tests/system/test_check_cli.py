@@ -201,9 +201,9 @@ class TestChangedScenes:
     """``set`` in a claim, and ``--set`` for all of them."""
 
     def test_a_claim_compares_a_scene_with_itself_changed(self, folder):
-        worse = TRUE | {"name": "shaken", "max": "1.2 * smooth_rms_px.u"}
-        worse |= {"set": ["exposure.vibration_px=0.1"]}
-        worse |= {"versus": {"set": ["exposure.vibration_px=0"]}}
+        worse = TRUE | {"name": "dark", "max": "1.2 * smooth_rms_px.u"}
+        worse |= {"set": ["detector.full_well_e=500"]}
+        worse |= {"versus": {"set": ["detector.full_well_e=16000"]}}
         outcome = run_cli("check", written(folder, worse), "--json")
         assert outcome.status == 1, outcome.err
         (claim,) = json.loads(outcome.out)["claims"]
