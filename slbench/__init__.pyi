@@ -22,6 +22,8 @@ from . import twin as twin
 from .bench.claims.check import check as check
 from .bench.compare.compare import compare as compare
 from .bench.compare.comparison import Comparison as Comparison
+from .bench.sweep.sweep import Sweep as Sweep
+from .bench.sweep.sweep import sweep as sweep
 from .calibration.models.model import CalibrationModel as CalibrationModel
 from .calibration.models.points import CalibrationPoints as CalibrationPoints
 from .calibration.selection import Selection as Selection

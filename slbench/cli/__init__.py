@@ -40,6 +40,7 @@ SECTIONS = {
     "Judge": {
         "compare": "slbench.cli.compare:compare",
         "check": "slbench.cli.check:check",
+        "sweep": "slbench.cli.sweep:sweep",
         "bench": "slbench.cli.bench:bench",
     },
     "Design and make": {

@@ -33,6 +33,7 @@ from slbench.score.fusion import FusionScore, score_fusion
 from slbench.score.points import Score
 from slbench.score.points import score as score_points
 from slbench.simulate.floors import floors_px, more_samples
+from slbench.simulate.lights import Lights
 from slbench.simulate.sharp import expected_frames
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
@@ -238,6 +239,7 @@ def scan(
     samples: int | None = None,
     weights: WeightSource = "lit",
     score: bool = True,
+    lights: Lights | None = None,
     on_progress: Progress | None = None,
 ) -> Scan:
     """Measure a scene: trace, capture, decode, triangulate, score.
@@ -255,6 +257,9 @@ def scan(
         Where a focus stack's settings are judged to be sharp (:mod:`slbench.capture.stack`).
     score : bool
         False leaves out the score (:func:`score_scan`).
+    lights : Lights, optional
+        Light and truth to take where they are at hand and to keep otherwise, for scenes that share
+        them (:mod:`slbench.simulate.lights`); the samples have its seed then.
     on_progress : callable, optional
 
     Returns
@@ -276,8 +281,6 @@ def scan(
     """
     # Mitsuba is needed from here on, and only here.
     from slbench.simulate.render.backend.choice import current
-    from slbench.simulate.render.groundtruth import ground_truth
-    from slbench.simulate.render.trace import trace
 
     report = on_progress or (lambda stage, fraction: None)
     seconds: dict[str, float] = {}
@@ -298,25 +301,23 @@ def scan(
     only = scene.rig.only
     with located(f"scene {scene.name}: patterns {scene.sequence.name}"):
         scene.sequence.runs()
+    light = lights or Lights(seed, kept=1)
     views: dict[Pair, View] = {}
     for pair in scene.rig.pairs:
         rig = scene.rig.pair(pair)
         with stage("trace") as progress:
-            transport = trace(
-                scene.objects,
-                rig if scene.focus is None else rig.all_in_focus(),
-                scene.light,
-                scene.sequence.variations,
-                samples=scene.samples,
-                seed=seed,
-                on_progress=progress,
-            )
+            one = replace(scene, rig=rig)
+            sharp = one if scene.focus is None else one.all_in_focus()
+            (transport,) = light.traced(sharp, on_progress=progress)
         with stage("truth"):
-            truth = ground_truth(scene.objects, rig)
+            truth = light.truth(one)
         with stage("relight") as progress:
+            settings: tuple[LightTransport, ...] | None = (transport,)
+            if scene.focus is not None:  # traced one at a time where none is wanted again
+                settings = None if lights is None else lights.traced(one)
             stack = capture_stack(
-                replace(scene, rig=rig),
-                (transport,) if scene.focus is None else None,
+                one,
+                settings,
                 seed=seed,
                 noise=noise,
                 on_progress=progress,

@@ -25,7 +25,11 @@ def with_lit_frame(sequence: PatternSequence) -> PatternSequence:
 
 
 def traced(
-    scene: Scene, axes: tuple[Marginal, ...] | None = None, *, seed: int = 0
+    scene: Scene,
+    axes: tuple[Marginal, ...] | None = None,
+    *,
+    seed: int = 0,
+    on_progress: Callable[[float], None] | None = None,
 ) -> tuple[LightTransport, ...]:
     """Trace a scene at each of its focus settings; once where it has none.
 
@@ -35,14 +39,28 @@ def traced(
     axes : tuple of {"u", "v", "uv"}, optional
         Marginals to keep, by default what the scene's patterns vary along.
     seed : int
+    on_progress : callable, optional
+        Called with the finished fraction.
     """
     from slbench.simulate.render.trace import trace
 
     kept = scene.sequence.variations if axes is None else axes
-    return tuple(
-        trace(scene.objects, rig, scene.light, kept, samples=scene.samples, seed=seed)
-        for rig in scene.rigs
-    )
+    found: list[LightTransport] = []
+    for rig in scene.rigs:
+
+        def progress(part: float, done: int = len(found)) -> None:
+            if on_progress:
+                on_progress((done + part) / len(scene.rigs))
+
+        found.append(
+            trace(
+                *(scene.objects, rig, scene.light, kept),
+                samples=scene.samples,
+                seed=seed,
+                on_progress=progress,
+            )
+        )
+    return tuple(found)
 
 
 def capture_stack(

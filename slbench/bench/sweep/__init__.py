@@ -1,0 +1,1 @@
+"""A scene measured while keys of it go through values."""
