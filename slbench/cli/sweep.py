@@ -54,7 +54,7 @@ def sweep(
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
-    """Measure a scene while keys of it go through values: a table and curves."""
+    """Measure a scene over values of its keys: a table and curves."""
     from slbench.bench.sweep.sweep import SWEEP_FOLDER, write_sweep
     from slbench.bench.sweep.sweep import sweep as run
 
