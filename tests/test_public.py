@@ -110,6 +110,7 @@ def values(tmp_path_factory):
         sl.cloud.registration.Overlap(0, 1, 1000, 0.5, 0.001, 0.0005, 6),
         sl.select_models(rig_points(200)).model,
         sl.compare(scene, sets, repeats=2, transports=[scan.transport], truth=scan.truth),
+        sl.error_budget(scene, repeats=2),
         sl.open_dataset(write_dataset(tmp_path_factory.mktemp("small"))),
         sl.simulate.render.current(),
     ]

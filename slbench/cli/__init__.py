@@ -41,6 +41,7 @@ SECTIONS = {
         "compare": "slbench.cli.compare:compare",
         "check": "slbench.cli.check:check",
         "sweep": "slbench.cli.sweep:sweep",
+        "budget": "slbench.cli.budget:budget",
         "bench": "slbench.cli.bench:bench",
     },
     "Design and make": {

@@ -110,6 +110,10 @@ class Lights:
         self._keep(self._lights, key, held)
         return held
 
+    def put(self, scene: Scene, transports: tuple[LightTransport, ...]) -> None:
+        """Take light of a scene that is at hand."""
+        self._keep(self._lights, light_key(scene), transports)
+
     def truth(self, scene: Scene) -> GroundTruth:
         """Return the ground truth of a scene."""
         from slbench.simulate.render.groundtruth import ground_truth

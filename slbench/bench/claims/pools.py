@@ -282,7 +282,9 @@ class Pools:
             # Without the maps, which are large.
             none = np.empty((0, 0))
             return {
-                result.name: replace(result, std_mm=none, std_z_mm=none, error_mm=none)
+                result.name: replace(
+                    result, std_mm=none, std_z_mm=none, error_mm=none, shift_mm=none
+                )
                 for result in found.sets
             }
 

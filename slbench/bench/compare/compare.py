@@ -385,9 +385,9 @@ def _result(
     }
 
     def image(array: Array) -> Array:
-        picture = np.full(truth.lit.shape, np.nan)
-        picture.ravel()[pixels] = array[common]
-        return picture
+        picture = np.full((truth.lit.size, *array.shape[1:]), np.nan)
+        picture[pixels] = array[common]
+        return picture.reshape(*truth.lit.shape, *array.shape[1:])
 
     return SetResult(
         name=one.name,
@@ -416,6 +416,7 @@ def _result(
         std_mm=image(found.std_mm),
         std_z_mm=image(found.std_z_mm),
         error_mm=image(found.error_mm[:, 2]),
+        shift_mm=image(found.error_mm),
         note=one.note,
     )
 

@@ -102,6 +102,8 @@ class SetResult:
     std_mm, std_z_mm, error_mm : (V, U) float
         Standard deviation, that of the height, and mean height error; NaN where a pixel is not
         in the comparison.
+    shift_mm : (V, U, 3) float
+        Mean deviation of the point from the truth; likewise.
     note : str
         What a reader must know of this set.
     """
@@ -132,6 +134,7 @@ class SetResult:
     std_mm: Array
     std_z_mm: Array
     error_mm: Array
+    shift_mm: Array
     note: str = ""
 
     __repr__ = brief

@@ -13,5 +13,6 @@ DRAWERS: dict[str, str] = {
     "slbench.cloud.triangulation:PointCloud": "slbench.report.plots.stream:cloud",
     "slbench.simulate.scan:Scan": "slbench.report.plots.scan:summary",
     "slbench.bench.compare.comparison:Comparison": "slbench.report.pages.compare:draw",
+    "slbench.bench.budget.budget:Budget": "slbench.report.plots.budget:draw",
     "slbench.bench.sweep.sweep:Sweep": "slbench.report.plots.sweep:draw",
 }

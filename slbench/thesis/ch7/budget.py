@@ -1,10 +1,8 @@
-"""The error budget of pattern sets: every source of error switched on alone.
+"""The error budget of the sets of thesis ch. 7: every source of error switched on alone.
 
-A scan without any: devices with pinholes (and so without defocus, diffraction and blur), panel
-values that are neither quantised nor bent, a detector without noise whose grey levels are so fine
-that rounding does not matter, no other light, nothing that moves.  What is left then is the
-*floor*: the projector's square pixels, the camera pixel's footprint and the samples of the light
-transport.  To this, one source at a time is added:
+A use of :mod:`slbench.bench.budget`: its scenes with one source each, compared with three sets.
+Here the floor has pinholes, so that lenses are a source too; what the scene has not (a bent
+response, ambient light, interreflections, vibration) is tried at a size that real scanners have.
 
 - *random* sources differ from scan to scan: standard deviation over the repeats.  Lenses are among
   them too: what they take of the modulation makes noise larger, that of finer fringes more;
@@ -18,51 +16,37 @@ as 1/n, movement not at all (:mod:`slbench.thesis.ch7.twoterm`).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.compare.compare import compare
+from slbench.bench.budget.sources import (
+    VIBRATION_REPEATS,
+    Kind,
+    Progress,
+    Source,
+    ideal,
+    measure_sources,
+    moving,
+    seen,
+    shown,
+)
 from slbench.bench.compare.comparison import Comparison, SetResult
-from slbench.detector.emva1288 import Detector
-from slbench.rig import Camera, Projector
 from slbench.scene.model import Light, Scene
 from slbench.scene.truth import GroundTruth, Status
-from slbench.simulate.stack import traced
+from slbench.simulate.lights import Lights
 from slbench.simulate.transport import LightTransport
 from slbench.thesis.ch7.twoterm import detector_of, exponent
 from slbench.thesis.published import FINEST, SETS
 
 Array = NDArray[np.float64]
-Progress = Callable[[str, float], None]
-Kind = Literal["random", "steady"]
-AnyDevice = TypeVar("AnyDevice", Camera, Projector)
-
-#: Electrons of a detector whose shot noise does not matter.
-_BOTTOMLESS = 1e12
 #: Gammas of a projector that is taken for a linear one: nearly corrected, and not at all.
 _GAMMAS = (1.1, 2.2)
 #: Ambient irradiance over that of the fully lit panel.
 _AMBIENT = 0.25
 #: Interreflections that are followed.
 _BOUNCES = 2
-#: Vibration needs more repeats: all pixels of a frame move together, so that the mean over
-#: pixels does not average over movements.
-_VIBRATION_REPEATS = 4
-
-
-@dataclass(frozen=True)
-class Variation:
-    """A scene with one source of error, and the light that it is seen in."""
-
-    name: str
-    kind: Kind
-    scene: Scene
-    light: str = "pinhole"
-    repeats: int = 1
 
 
 @dataclass(frozen=True)
@@ -113,40 +97,9 @@ def object_truth(truth: GroundTruth, index: int = 0) -> GroundTruth:
     return replace(truth, status=np.where(dark, np.uint8(Status.SHADOWED), truth.status))
 
 
-def _pinhole(device: AnyDevice) -> AnyDevice:
-    """Return a device whose lens spreads nothing."""
-    return replace(device, lens=replace(device.lens, aperture_radius_mm=0.0), blur_px=0.0)
-
-
-def ideal(scene: Scene) -> Scene:
-    """Return the scene without any source of error that can be switched off."""
-    still = replace(scene.exposure, vibration_px=0.0)
-    camera = _pinhole(scene.rig.camera)
-    projector = replace(_pinhole(scene.rig.projector), bit_depth=None, gamma=1.0)
-    return replace(
-        scene,
-        rig=scene.rig.having(
-            camera=camera, projector=replace(projector, bit_depth=None, gamma=1.0)
-        ),
-        focus=None,
-        detector=Detector(
-            bit_depth=16,
-            full_well_e=_BOTTOMLESS,
-            read_noise_e=0.0,
-            dark_current_e_per_s=0.0,
-            quantum_efficiency=detector_of(scene).quantum_efficiency,
-            prnu=0.0,
-            dsnu_e=0.0,
-            seed=detector_of(scene).seed,
-        ),
-        exposure=still,
-        light=Light(),
-    )
-
-
 def variations(
     scene: Scene, transport: LightTransport, *, vibration_px: float, repeats: int
-) -> list[Variation]:
+) -> list[Source]:
     """Return the scene with each source alone, the floor first and everything last.
 
     Parameters
@@ -159,71 +112,34 @@ def variations(
         See :func:`error_budget`.
     """
     base, real = ideal(scene), detector_of(scene)
-    scale = _BOTTOMLESS / real.saturation_e
-    fine = detector_of(base)
-
-    def seen(**changes: Any) -> Scene:
-        return replace(base, detector=replace(fine, **changes))
-
-    def shown(**changes: Any) -> Scene:
-        projector = replace(base.rig.projector, **changes)
-        return replace(base, rig=base.rig.having(projector=projector))
-
-    shot = seen(full_well_e=real.saturation_e)
-    still = replace(base.exposure, vibration_px=vibration_px)
+    shot = seen(base, real, "shot")
     linear = replace(scene.rig.projector, bit_depth=None, gamma=1.0)
     lenses = scene.rig.having(projector=linear)
     albedo = scene.objects[0].material.bsdf.model_dump()["albedo"]  # of a diffuse spray
     white = float(np.median(transport.white()[transport.white() > 0]))
     ambient = Light(ambient_w_per_mm2=_AMBIENT * math.pi * white / albedo)
     bits = scene.rig.projector.bit_depth
-    many = repeats * _VIBRATION_REPEATS
+    rounded, fixed = seen(base, real, "rounding"), seen(base, real, "pattern")
+    bounces = replace(base, light=Light(bounces=_BOUNCES))
+    # What lenses take of the modulation, finer fringes lose more of.
+    weak = replace(shot, rig=lenses)
+    lit = replace(shot, light=ambient)
+    moved = moving(base, vibration_px)
     return [
-        Variation("floor: footprint, square panel pixels, samples", "steady", base),
-        Variation("other samples of the light", "steady", base, "other samples"),
-        Variation(
-            "lenses (defocus, diffraction, blur)", "steady", replace(base, rig=lenses), "lenses"
-        ),
-        Variation(f"panel of {bits} bit", "steady", shown(bit_depth=bits)),
-        *(Variation(f"projector gamma {g}", "steady", shown(gamma=g)) for g in _GAMMAS),
-        Variation(f"quantisation, {real.bit_depth} bit", "steady", seen(bit_depth=real.bit_depth)),
-        Variation(
-            "fixed pattern (PRNU, DSNU)",
-            "steady",
-            seen(prnu=real.prnu, dsnu_e=real.dsnu_e * scale),
-        ),
-        Variation(
-            f"interreflections, {_BOUNCES} bounces",
-            "steady",
-            replace(base, light=Light(bounces=_BOUNCES)),
-            "bounces",
-        ),
-        Variation("shot noise", "random", shot, repeats=repeats),
-        # What lenses take of the modulation, finer fringes lose more of.
-        Variation(
-            "shot noise, modulation lost by lenses",
-            "random",
-            replace(shot, rig=lenses),
-            "lenses",
-            repeats,
-        ),
-        Variation(
-            "read noise", "random", seen(read_noise_e=real.read_noise_e * scale), repeats=repeats
-        ),
-        Variation(
-            f"shot noise under ambient light, {_AMBIENT:g} of white",
-            "random",
-            replace(shot, light=ambient),
-            "ambient",
-            repeats,
-        ),
-        Variation(
-            f"vibration, {vibration_px:g} px",
-            "random",
-            replace(base, exposure=still),
-            repeats=many,
-        ),
-        Variation("everything in the scene", "random", scene, "lenses", repeats),
+        Source("floor: footprint, square panel pixels, samples", "steady", base),
+        Source("other samples of the light", "steady", base, other_samples=True),
+        Source("lenses (defocus, diffraction, blur)", "steady", replace(base, rig=lenses)),
+        Source(f"panel of {bits} bit", "steady", shown(base, bit_depth=bits)),
+        *(Source(f"projector gamma {g}", "steady", shown(base, gamma=g)) for g in _GAMMAS),
+        Source(f"quantisation, {real.bit_depth} bit", "steady", rounded),
+        Source("fixed pattern (PRNU, DSNU)", "steady", fixed),
+        Source(f"interreflections, {_BOUNCES} bounces", "steady", bounces),
+        Source("shot noise", "random", shot, repeats),
+        Source("shot noise, modulation lost by lenses", "random", weak, repeats),
+        Source("read noise", "random", seen(base, real, "read"), repeats),
+        Source(f"shot noise under ambient light, {_AMBIENT:g} of white", "random", lit, repeats),
+        Source(f"vibration, {vibration_px:g} px", "random", moved, repeats * VIBRATION_REPEATS),
+        Source("everything in the scene", "random", scene, repeats),
     ]
 
 
@@ -259,26 +175,16 @@ def error_budget(
     Budget
     """
     chosen = variations(scene, transport, vibration_px=vibration_px, repeats=repeats)
-    lights: dict[str, tuple[LightTransport, ...]] = {"lenses": (transport,)}
-    rows: list[Row] = []
-    floor: Comparison | None = None
-    for k, one in enumerate(chosen):
-        if one.light not in lights:
-            own = seed + 1 if one.light == "other samples" else seed
-            lights[one.light] = traced(one.scene, ("u",), seed=own)
-        found = compare(
-            one.scene,
-            SETS,
-            # Two scans of a steady source are the same scan, twice.
-            repeats=max(2, one.repeats),
-            seed=seed,
-            transports=lights[one.light],
-            truth=truth,
-        )
-        floor = floor or found
-        rows.append(_row(one, found, None if found is floor else floor))
-        if on_progress:
-            on_progress("budget", (k + 1) / len(chosen))
+    lights = Lights(seed, kept=len(chosen))
+    lights.put(scene, (transport,))
+    found = measure_sources(
+        *(chosen, SETS, ("u",)), seed=seed, truth=truth, lights=lights, on_progress=on_progress
+    )
+    floor = found[0]
+    rows = [
+        _row(one, each, None if each is floor else floor)
+        for one, each in zip(chosen, found, strict=True)
+    ]
     return Budget(tuple(rows), {"vibration_px": vibration_px})
 
 
@@ -290,7 +196,7 @@ def heights_rms_mm(result: SetResult) -> float:
     return math.sqrt(float(np.mean(np.square(errors))))
 
 
-def _row(one: Variation, found: Comparison, floor: Comparison | None) -> Row:
+def _row(one: Source, found: Comparison, floor: Comparison | None) -> Row:
     steady = []
     for k, result in enumerate(found.sets):
         moved = result.error_mm if floor is None else result.error_mm - floor.sets[k].error_mm

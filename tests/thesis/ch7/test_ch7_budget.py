@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from scenes_small import small, transport_of, truth_of
 from stages import ground_truth, trace
 
+from slbench.bench.budget.sources import ideal
 from slbench.bench.compare.compare import compare
 from slbench.cloud.triangulation import intersect_axis
 from slbench.core.errors import InputError
 from slbench.design.fringes.trial import noise_of_scene
 from slbench.thesis.ch7 import budget as module
-from slbench.thesis.ch7.budget import ideal, object_truth, variations
+from slbench.thesis.ch7.budget import object_truth, variations
 from slbench.thesis.ch7.report import thesis_law
 from slbench.thesis.ch7.twoterm import (
     TwoTerm,

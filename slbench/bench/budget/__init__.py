@@ -1,0 +1,1 @@
+"""Error budgets: every source of error of a scene switched on alone."""

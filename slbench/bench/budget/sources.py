@@ -1,0 +1,296 @@
+"""Sources of error, each a scene in which it is switched on alone.
+
+:func:`ideal` is a scene without any: panel values that are neither quantised nor bent, a detector
+without noise whose grey levels are so fine that rounding does not matter, no other light, nothing
+that moves.  What is left then is the *floor*: the projector's square pixels, the camera pixel's
+footprint and the samples of the light.  To this, one source at a time is added.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from slbench.bench.compare.compare import compare
+from slbench.bench.compare.comparison import Comparison
+from slbench.bench.compare.sets import PatternSet
+from slbench.detector.emva1288 import Detector
+from slbench.patterns import PatternSource
+from slbench.rig import Camera, Projector
+from slbench.scene.model import Light, Scene
+from slbench.scene.truth import GroundTruth
+from slbench.simulate.expose import lighting, shutter_for
+from slbench.simulate.lights import Lights
+from slbench.simulate.transport import LightTransport, Marginal
+
+Progress = Callable[[str, float], None]
+Kind = Literal["random", "steady"]
+AnyDevice = TypeVar("AnyDevice", Camera, Projector)
+
+#: Electrons of a detector whose shot noise does not matter.
+BOTTOMLESS_E = 1e12
+#: Vibration needs more repeats: all pixels of a frame move together, so that the mean over
+#: pixels does not average over movements.
+VIBRATION_REPEATS = 4
+
+
+@dataclass(frozen=True)
+class Source:
+    """A scene with one source of error.
+
+    Parameters
+    ----------
+    name : str
+    kind : {"random", "steady"}
+        Whether it differs from scan to scan, where it is alone.
+    scene : Scene
+    repeats : int
+        Scans; two of a steady source are the same scan, twice.
+    counted : bool
+        False for what is part of another source, and shown to explain it.
+    other_samples : bool
+        Whether its light has samples of its own.
+    dithered : bool
+        Whether the noise of the whole scene makes a steady source random: rounding, of noise that
+        is more than half a step.
+    """
+
+    name: str
+    kind: Kind
+    scene: Scene
+    repeats: int = 2
+    counted: bool = True
+    other_samples: bool = False
+    dithered: bool = False
+
+    @property
+    def adds_to(self) -> Kind:
+        """What it is a part of in the whole scene."""
+        return "random" if self.dithered else self.kind
+
+
+def pinhole(device: AnyDevice) -> AnyDevice:
+    """Return a device whose lens spreads nothing."""
+    return replace(device, lens=replace(device.lens, aperture_radius_mm=0.0), blur_px=0.0)
+
+
+def ideal(scene: Scene, *, lenses: bool = False) -> Scene:
+    """Return the scene without any source of error that can be switched off.
+
+    Parameters
+    ----------
+    scene : Scene
+    lenses : bool
+        Whether the lenses stay as they are, with defocus, diffraction and blur; otherwise they are
+        pinholes, in focus everywhere.
+    """
+    camera, projector = scene.rig.camera, scene.rig.projector
+    if not lenses:
+        camera, projector = pinhole(camera), pinhole(projector)
+    real = scene.detector if isinstance(scene.detector, Detector) else Detector()
+    return replace(
+        scene,
+        rig=scene.rig.having(
+            camera=camera, projector=replace(projector, bit_depth=None, gamma=1.0)
+        ),
+        focus=scene.focus if lenses else None,
+        detector=Detector(
+            bit_depth=16,
+            full_well_e=BOTTOMLESS_E,
+            read_noise_e=0.0,
+            dark_current_e_per_s=0.0,
+            quantum_efficiency=real.quantum_efficiency,
+            prnu=0.0,
+            dsnu_e=0.0,
+            seed=real.seed,
+        ),
+        exposure=replace(scene.exposure, vibration_px=0.0),
+        light=Light(),
+    )
+
+
+def seen(base: Scene, real: Detector, *parts: str, further_e2: float = 0.0) -> Scene:
+    """Return an ideal scene with parts of a real detector.
+
+    Parameters
+    ----------
+    base : Scene
+    real : Detector
+    parts : str
+        Of ``"shot"``, ``"read"``, ``"pattern"`` (PRNU and DSNU) and ``"rounding"``.  Charges are
+        scaled with full well, so that each is as large a share of it as with the real detector.
+    further_e2 : float
+        Variance to add to that of read noise, electrons squared.
+    """
+    scale = BOTTOMLESS_E / real.saturation_e
+    changes: dict[str, Any] = {}
+    if "shot" in parts:
+        scale = 1.0
+        changes["full_well_e"] = real.saturation_e
+    if "read" in parts:
+        changes["read_noise_e"] = math.sqrt(real.read_noise_e**2 + further_e2) * scale
+    if "pattern" in parts:
+        changes |= {"prnu": real.prnu, "dsnu_e": real.dsnu_e * scale}
+    if "rounding" in parts:
+        changes["bit_depth"] = real.bit_depth
+    assert isinstance(base.detector, Detector)  # an ideal scene's
+    return replace(base, detector=replace(base.detector, **changes))
+
+
+def shown(base: Scene, **changes: Any) -> Scene:
+    """Return an ideal scene with another panel: ``bit_depth``, ``gamma``."""
+    projector = replace(base.rig.projector, **changes)
+    return replace(base, rig=base.rig.having(projector=projector))
+
+
+def moving(base: Scene, vibration_px: float) -> Scene:
+    """Return an ideal scene that vibrates."""
+    return replace(base, exposure=replace(base.exposure, vibration_px=vibration_px))
+
+
+def metered(scene: Scene, transport: LightTransport) -> tuple[Scene, float]:
+    """Return a scene with its exposure as a share of saturation, and its exposure time, s.
+
+    An absolute exposure means another share with another detector, and none with a pinhole.
+    """
+    exposure, camera = scene.exposure, scene.rig.camera
+    with lighting(scene):
+        shutter = shutter_for(transport, camera, scene.detector, exposure)
+    if exposure.time_s is None:
+        return scene, shutter.time_s
+    white = transport.white().astype(np.float64)
+    full = scene.detector.exposure_scale(white[white > transport.ambient], 1.0)
+    level = min(shutter.photons / full, 1.0)
+    return replace(scene, exposure=replace(exposure, time_s=None, white_level=level)), (
+        shutter.time_s
+    )
+
+
+def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
+    """Return what a scene has of sources of error, the floor first.
+
+    Lenses are as they are in all of them: what they take of the modulation makes noise larger, and
+    what they blur of the panel's pixels makes the floor smaller.  Noise is that of the scene's own
+    light, ambient light and interreflections included.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its exposure is a share of saturation (:func:`metered`).
+    time_s : float
+        Exposure of a frame, for dark current.
+    repeats : int
+        Scans of random sources.
+    """
+    base, sharp = ideal(scene, lenses=True), ideal(scene)
+    lit = replace(base, light=scene.light)
+    projector, camera, real = scene.rig.projector, scene.rig.camera, scene.detector
+    found = [
+        Source("floor: footprint, square panel pixels", "steady", base),
+        Source(
+            "samples of the light (part of the floor)",
+            "steady",
+            base,
+            counted=False,
+            other_samples=True,
+        ),
+    ]
+    spreading = any(d.lens.aperture_radius_mm > 0.0 or d.blur_px > 0.0 for d in (camera, projector))
+    if spreading:
+        name = "lenses: change of the floor by defocus, diffraction, blur"
+        found.append(Source(name, "steady", sharp, counted=False))
+    if projector.bit_depth is not None:
+        panel = shown(base, bit_depth=projector.bit_depth)
+        found.append(Source(f"panel of {projector.bit_depth} bit", "steady", panel))
+    if projector.gamma != 1.0:
+        bent = shown(base, gamma=projector.gamma)
+        found.append(Source(f"response, gamma {projector.gamma:g}", "steady", bent))
+    if scene.light.bounces:
+        name = f"interreflections, {scene.light.bounces} bounces"
+        lone = replace(base, light=Light(bounces=scene.light.bounces))
+        found.append(Source(name, "steady", lone))
+    if isinstance(real, Detector):
+        grey_e = 0.5 * scene.exposure.white_level * real.saturation_e
+        noisy = math.sqrt(grey_e + real.read_noise_e**2) > 0.5 * real.e_per_dn
+        name = f"quantisation, {real.bit_depth} bit" + ", made random by noise" * noisy
+        rounded = seen(base, real, "rounding")
+        found.append(Source(name, "steady", rounded, dithered=noisy))
+        if real.prnu or real.dsnu_e:
+            name = "fixed pattern (PRNU, DSNU)"
+            found.append(Source(name, "steady", seen(base, real, "pattern")))
+        found.append(Source("shot noise", "random", seen(lit, real, "shot"), repeats))
+        if scene.light.ambient_w_per_mm2 > 0.0:
+            dark = replace(lit, light=replace(lit.light, ambient_w_per_mm2=0.0))
+            name = "shot noise without ambient light"
+            found.append(Source(name, "random", seen(dark, real, "shot"), repeats, counted=False))
+        if spreading:
+            name = "shot noise through ideal lenses"
+            found.append(Source(name, "random", seen(sharp, real, "shot"), repeats, counted=False))
+        dark_e = real.dark_current_e_per_s * time_s
+        if real.read_noise_e or dark_e:
+            read = seen(lit, real, "read", further_e2=dark_e)
+            found.append(Source("read noise and dark current", "random", read, repeats))
+    else:
+        whole = replace(lit, detector=real)
+        found.append(Source(f"detector {type(real).__name__}", "random", whole, repeats))
+    if scene.exposure.vibration_px > 0.0:
+        name = f"vibration, {scene.exposure.vibration_px:g} px"
+        shaken = moving(lit, scene.exposure.vibration_px)
+        found.append(Source(name, "random", shaken, repeats * VIBRATION_REPEATS))
+    return found
+
+
+def measure_sources(
+    sources: Sequence[Source],
+    sets: Sequence[PatternSource | PatternSet],
+    axes: tuple[Marginal, ...],
+    *,
+    seed: int,
+    truth: GroundTruth | None = None,
+    lights: Lights | None = None,
+    on_progress: Progress | None = None,
+) -> list[Comparison]:
+    """Scan each source's scene repeatedly with pattern sets.
+
+    Parameters
+    ----------
+    sources : sequence of Source
+    sets : sequence of pattern sets
+    axes : tuple of {"u", "v", "uv"}
+        What they vary along.
+    seed : int
+    truth : GroundTruth, optional
+        Of the pixels to compare; all of the first source's by default.
+    lights : Lights, optional
+        With light that is at hand.
+    on_progress : callable, optional
+
+    Returns
+    -------
+    list of Comparison
+        One a source.
+    """
+    usual = lights or Lights(seed, kept=len(sources))
+    others = Lights(seed + 1)
+    if truth is None:
+        truth = usual.truth(sources[0].scene)
+    found = []
+    for k, one in enumerate(sources):
+        found.append(
+            compare(
+                one.scene,
+                sets,
+                repeats=max(2, one.repeats),
+                seed=seed,
+                transports=(others if one.other_samples else usual).traced(one.scene, axes),
+                truth=truth,
+                question=False,
+            )
+        )
+        if on_progress:
+            on_progress("budget", (k + 1) / len(sources))
+    return found
