@@ -24,6 +24,7 @@ from slbench.core.errors import warn_user
 from slbench.core.io import OutputFolder, write_exr, write_json, write_ply
 from slbench.core.show.display import brief, length
 from slbench.patterns import Decoder, NoiseModel, PhaseMap, Rule, decoded_by
+from slbench.patterns.ripple import Ripple, ripple_rms_px, ripples
 
 DECODED_FOLDER = OutputFolder(
     "decoded capture", ("phase.exr", "cloud.ply", "decode.json", "summary.png")
@@ -41,6 +42,8 @@ class Decoded:
         With its evidence.
     cloud : PointCloud or None
         None without a rig.
+    ripple : tuple of Ripple
+        Periodic errors of the coordinates, which the cloud's uncertainty holds.
     noise : NoiseModel
         What the deviations are predicted from.
     noise_kind : {"stated", "measured", "lower bound", "decoder"}
@@ -56,6 +59,7 @@ class Decoded:
     capture: Capture
     phase: PhaseMap
     cloud: PointCloud | None
+    ripple: tuple[Ripple, ...]
     noise: NoiseModel
     noise_kind: NoiseKind
     lost: dict[str, int]
@@ -73,6 +77,8 @@ class Decoded:
             "valid_pixels": int(np.count_nonzero(self.phase.mask)),
             "points": None if cloud is None else len(cloud),
             "predicted_sigma_mm": float(np.median(cloud.sigma_total_mm)) if cloud else None,
+            "predicted_u_mm": float(np.median(cloud.u_total_mm)) if cloud else None,
+            "ripple": [found.to_dict() for found in self.ripple],
             "noise": self.noise_kind,
             "noise_model": None if self.noise_kind == "decoder" else asdict(self.noise),
             "dropped": self.dropped,
@@ -98,6 +104,8 @@ class Decoded:
                 "-" if sigma is None else f"{sigma}{kind.get(self.noise_kind, '')}",
             )
         )
+        rows.append(("predicted_u_mm", "-" if sigma is None else str(values["predicted_u_mm"])))
+        rows += [(f"ripple of {found.cause}, {found.axis}", str(found)) for found in self.ripple]
         rows.append(("noise", self.noise_kind))
         dropped = [f"{name} {count}" for name, count in self.dropped.items() if count]
         rows.append(("dropped", ", ".join(dropped) or "none"))
@@ -168,7 +176,7 @@ class Decoded:
             For ``phase.exr`` (``modulation``, ``mean``, ``mask`` and, by axis, ``panel.u`` and
             ``sigma.u``, px; and, where nothing tells fringes apart, ``relative.u.0``, rad, of every
             set in order of projection), ``cloud.ply`` (if there are points; with
-            ``sigma``, mm, and ``grey``, DN), ``decode.json`` and ``provenance.json``.
+            ``sigma`` and ``u``, mm, and ``grey``, DN), ``decode.json`` and ``provenance.json``.
         parameters : mapping
             For the provenance.
         files : mapping of str to callable, optional
@@ -191,7 +199,11 @@ class Decoded:
         with DECODED_FOLDER.writing(folder, parameters, None) as temporary:
             write_exr(temporary / "phase.exr", single)
             if cloud:
-                fields = {"sigma": cloud.sigma_total_mm, "grey": self.grey}
+                fields = {
+                    "sigma": cloud.sigma_total_mm,
+                    "u": cloud.u_total_mm,
+                    "grey": self.grey,
+                }
                 write_ply(temporary / "cloud.ply", cloud.points, fields)
             for name, write in (files or {}).items():
                 write(temporary / name)
@@ -270,15 +282,17 @@ def decode_capture(
         doubts = manifest_doubts(capture.apart(), phase)
     if kind == "measured":
         phase = decoded_with(noise, min_snr=0.0)
+    ripple = ripples(phase, capture.sequence)
     cloud, gap, lost = None, None, {}
     if capture.rig is not None:
         cloud = triangulate(capture.rig, phase, meeting)
+        cloud = cloud.with_steady(ripple_rms_px(ripple))
         gap = ray_gap(capture.rig, phase, cloud)
         lost = lost_points(capture.rig, phase, cloud)
         doubts += rig_doubts(phase, lost, gap)
     for doubt in doubts:
         warn_user(where, doubt)
-    return Decoded(capture, phase, cloud, noise, kind, lost, gap, tuple(doubts))
+    return Decoded(capture, phase, cloud, ripple, noise, kind, lost, gap, tuple(doubts))
 
 
 def _decoded_by(decoder: Decoder, capture: Capture) -> PhaseMap:

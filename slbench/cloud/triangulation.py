@@ -8,16 +8,18 @@ the distance has little weight, and two axes are never worse than one.  The thes
 nearest to both rays in the least-squares sense, whatever is known of them (``"nearest"``).
 
 Each point carries its *sensitivity*, the derivative of the point by the panel coordinate; with
-the coordinate's standard deviation it gives the covariance that noise in the phase causes.
+the coordinate's standard deviation it gives the covariance that noise in the phase causes.  Beside
+it stands what does not repeat to zero: steady errors of the coordinate, and the calibration's.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slbench.cloud.rays import closest, meet_curves
 from slbench.core.errors import InputError
@@ -57,6 +59,11 @@ class PointCloud:
         Predicted standard deviation of the panel coordinates, px.
     sensitivity : (N, A, 3) float
         Derivative of the point by the panel coordinate, mm/px.
+    steady_px : (N, A) float, optional
+        Standard deviation of the panel coordinates' errors that no repeat averages out, px; by
+        default none is known.
+    calibration_mm2 : (N, 3, 3) float, optional
+        Covariance that the calibration's own uncertainty gives the points, mm^2.
     """
 
     points: Array
@@ -65,6 +72,8 @@ class PointCloud:
     axes: tuple[Axis, ...]
     sigma_px: Array
     sensitivity: Array
+    steady_px: Array | None = None
+    calibration_mm2: Array | None = None
 
     def __len__(self) -> int:
         return len(self.points)
@@ -78,7 +87,8 @@ class PointCloud:
         return block(
             head,
             ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in limits) + " mm",
-            f"predicted deviation {length(float(np.median(self.sigma_total_mm)))} (median)",
+            f"standard deviation by noise {length(float(np.median(self.sigma_total_mm)))}, "
+            f"uncertainty {length(float(np.median(self.u_total_mm)))} (medians)",
         )
 
     @property
@@ -89,13 +99,52 @@ class PointCloud:
 
     @property
     def sigma_mm(self) -> Array:
-        """Predicted standard deviation per world axis, (N, 3), mm."""
+        """Standard deviation that noise causes per world axis, (N, 3), mm."""
         return np.sqrt(np.sum((self.sensitivity * self.sigma_px[..., None]) ** 2, axis=1))
 
     @property
     def sigma_total_mm(self) -> Array:
-        """Predicted standard deviation of the distance to the true point, (N,), mm."""
+        """Standard deviation of the distance to the point without noise, (N,), mm."""
         return np.sqrt(np.sum(self.sigma_mm**2, axis=1))
+
+    @property
+    def u_mm(self) -> Array:
+        """Standard uncertainty per world axis, (N, 3), mm: noise and all else that is known."""
+        of_panel = (
+            self.sigma_px if self.steady_px is None else np.hypot(self.sigma_px, self.steady_px)
+        )
+        variance = np.sum((self.sensitivity * of_panel[..., None]) ** 2, axis=1)
+        if self.calibration_mm2 is not None:
+            variance += np.diagonal(self.calibration_mm2, axis1=1, axis2=2)
+        return np.sqrt(variance)
+
+    @property
+    def u_total_mm(self) -> Array:
+        """Standard uncertainty of the distance to the true point, (N,), mm."""
+        return np.sqrt(np.sum(self.u_mm**2, axis=1))
+
+    def with_steady(self, steady_px: Mapping[Axis, ArrayLike]) -> PointCloud:
+        """Return the cloud with a steady error more.
+
+        Parameters
+        ----------
+        steady_px : mapping of axis to float or (V, U) float
+            Its standard deviation by axis, px; NaN, and an axis that is not named, are none.
+        """
+        u, v = self.pixels.T
+        columns = [
+            np.broadcast_to(steady_px.get(axis, 0.0), self.shape)[v, u] for axis in self.axes
+        ]
+        own = np.nan_to_num(np.stack(columns, axis=1).astype(np.float64))
+        known = 0.0 if self.steady_px is None else self.steady_px
+        return replace(self, steady_px=np.hypot(known, own))
+
+    def chosen(self, kept: NDArray[np.bool_] | slice) -> PointCloud:
+        """Return the cloud of some of its points."""
+        of_points = ("points", "pixels", "sigma_px", "sensitivity", "steady_px", "calibration_mm2")
+        values = {name: getattr(self, name) for name in of_points}
+        parts = {name: own[kept] for name, own in values.items() if own is not None}
+        return replace(self, **parts)
 
     def plot(self) -> Any:
         """Return a matplotlib figure: heights, predicted deviations, the points from above."""

@@ -41,7 +41,10 @@ class Score:
 
     Errors in mm are over all measured pixels that truth says are lit, edges included; z is
     the world's height.  ``completeness`` is the share of lit pixels that were measured,
-    ``false_points`` the number measured where truth says no light falls.
+    ``false_points`` the number measured where truth says no light falls.  ``predicted_sigma_mm`` is
+    the median deviation by noise, ``predicted_u_mm`` the median uncertainty; ``coverage_1u`` to
+    ``coverage_3u`` are the shares of errors on smooth surface, by world axis, that are at most one
+    to three times the uncertainty (0.683, 0.954, 0.997 of a Gaussian).
     """
 
     points: int
@@ -55,6 +58,10 @@ class Score:
     mad_mm: float
     p95_abs_mm: float
     predicted_sigma_mm: float
+    predicted_u_mm: float
+    coverage_1u: float
+    coverage_2u: float
+    coverage_3u: float
     smooth_rms_mm: float
     smooth_bias_px: dict[str, float]
     smooth_rms_px: dict[str, float]
@@ -73,7 +80,8 @@ class Score:
             f"{self.false_points} false, {self.outliers} outliers",
             f"distance from the truth: median {length(self.median_abs_mm)}, "
             f"RMS {length(self.rms_mm)}, 95 % within {length(self.p95_abs_mm)}",
-            f"predicted from noise alone: {length(self.predicted_sigma_mm)}",
+            f"predicted from noise alone: {length(self.predicted_sigma_mm)}, from all that is "
+            f"known: {length(self.predicted_u_mm)}",
             f"features: {features}" if features else "",
         )
 
@@ -90,6 +98,12 @@ class Score:
             ("RMS error, edges included", f"{_UM * self.rms_mm:.2f} µm"),
             ("RMS error, smooth surface", f"{_UM * self.smooth_rms_mm:.2f} µm"),
             ("predicted from noise alone", f"{_UM * self.predicted_sigma_mm:.2f} µm"),
+            ("uncertainty u", f"{_UM * self.predicted_u_mm:.2f} µm"),
+            (
+                "errors within 1, 2, 3 u, smooth surface",
+                f"{100 * self.coverage_1u:.1f}, {100 * self.coverage_2u:.1f}, "
+                f"{100 * self.coverage_3u:.1f} %",
+            ),
         ]
 
     def to_dict(self) -> dict[str, Any]:
@@ -145,6 +159,7 @@ def score(
     limit = OUTLIER_SIGMAS * max(1.4826 * mad, 1e-12)
     predicted = _median(cloud.sigma_total_mm)
     smooth_error = distance[in_smooth[lit]]
+    coverage = _coverage(cloud, error, in_smooth & lit)
     features = _features(cloud, truth.object_id, in_smooth, objects, rig)
     return Score(
         points=len(cloud),
@@ -158,6 +173,10 @@ def score(
         mad_mm=mad,
         p95_abs_mm=float(np.percentile(distance, 95)) if distance.size else float("nan"),
         predicted_sigma_mm=predicted,
+        predicted_u_mm=_median(cloud.u_total_mm),
+        coverage_1u=coverage[0],
+        coverage_2u=coverage[1],
+        coverage_3u=coverage[2],
         smooth_rms_mm=_rms(smooth_error),
         smooth_bias_px={axis: _mean(values) for axis, values in residual_px.items()},
         smooth_rms_px={axis: _rms(values) for axis, values in residual_px.items()},
@@ -170,6 +189,16 @@ def score(
 
 def _axes(phase: PhaseMap) -> list[tuple[int, Any]]:
     return [("uv".index(axis), axis) for axis in phase.coordinate]
+
+
+def _coverage(cloud: PointCloud, error: Array, chosen: NDArray[np.bool_]) -> list[float]:
+    """Return the shares of errors, by world axis, within one, two and three uncertainties."""
+    own, unsure = np.abs(error[chosen]), cloud.u_mm[chosen]
+    # Along an axis that a ray does not change there is nothing to be unsure of.
+    known = unsure > 1e-6 * unsure.max(axis=1, keepdims=True, initial=0.0)
+    return [
+        _ratio(np.count_nonzero(own[known] <= k * unsure[known]), known.sum()) for k in (1, 2, 3)
+    ]
 
 
 def _features(

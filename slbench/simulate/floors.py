@@ -8,6 +8,7 @@ pixel's footprint averages) or Monte Carlo: the second part is told by half of t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from math import ceil, inf, sqrt
 
 import numpy as np
@@ -39,6 +40,29 @@ _SEEN = 0.1
 _ORDINARY = 0.99
 #: Most times the root of the samples that is advised.
 _MOST = 100.0
+#: Side of the tiles in which the sampling error of most pixels is alike, px, and how many draws the
+#: tile's is worth beside a pixel's own.
+_ALIKE, _NEIGHBOURS = 16, 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Floor:
+    """Error of noise-free panel coordinates.
+
+    Parameters
+    ----------
+    rms_px : float
+        The whole, over smooth lit pixels.
+    sampling_rms_px : float
+        The Monte Carlo part of it, by what decodes otherwise from half of the samples, for 99 % of
+        the pixels; NaN where the halves were not kept.
+    sampling_px : dict of axis to (V, U) float
+        That part as a deviation of each pixel; without entries where it is not known.
+    """
+
+    rms_px: float
+    sampling_rms_px: float
+    sampling_px: dict[Axis, Array]
 
 
 def noise_free_coordinates(
@@ -112,18 +136,10 @@ def fused_radiance(
         yield indices, np.stack(list(fused))
 
 
-def floors_px(
+def floor_of(
     transport: LightTransport, sequence: PatternSequence, projector: Projector, truth: GroundTruth
-) -> tuple[float, float]:
-    """Return the RMS error of noise-free panel coordinates over smooth lit pixels, px.
-
-    Returns
-    -------
-    whole : float
-    sampling : float
-        The Monte Carlo part of it, by what decodes otherwise from half of the samples, for 99 % of
-        the pixels; NaN where the halves were not kept.
-    """
+) -> Floor:
+    """Return the error of noise-free panel coordinates."""
     smooth = truth.smooth()
     coordinates = noise_free_coordinates(transport, sequence, projector)
     errors = [
@@ -132,10 +148,11 @@ def floors_px(
     ]
     half = transport.half()
     if half is None:
-        return rms(errors), float("nan")
+        return Floor(rms(errors), float("nan"), {})
     others = noise_free_coordinates(half, sequence, projector)
-    draws = [(others[axis] - coordinates[axis])[smooth] for axis in others]
-    return rms(errors), ordinary_rms(draws)
+    draws = {axis: others[axis] - coordinates[axis] for axis in others}
+    sampling = ordinary_rms([draw[smooth] for draw in draws.values()])
+    return Floor(rms(errors), sampling, {axis: _around(draw) for axis, draw in draws.items()})
 
 
 def halves(transports: Sequence[LightTransport]) -> list[LightTransport] | None:
@@ -194,6 +211,24 @@ def rms(parts: Sequence[Array], share: float = 1.0) -> float:
 def ordinary_rms(parts: Sequence[Array]) -> float:
     """Return the RMS of a draw of the sampling error over 99 % of the pixels."""
     return rms(parts, _ORDINARY)
+
+
+def _around(draw: Array) -> Array:
+    """Return the deviation of a draw at each pixel, by what is usual around it and by its own.
+
+    Beside an edge a pixel may be many times worse than its neighbours, and half of its samples
+    tell it; in the middle of a surface one draw tells little.  NaN where there is none.
+    """
+    rows, columns = (-(-size // _ALIKE) for size in draw.shape)
+    tiled = np.full((rows * _ALIKE, columns * _ALIKE), np.nan)
+    tiled[: draw.shape[0], : draw.shape[1]] = np.abs(draw)
+    tiles = tiled.reshape(rows, _ALIKE, columns, _ALIKE).transpose(0, 2, 1, 3)
+    flat = np.sort(tiles.reshape(rows, columns, -1), axis=-1)  # NaN last
+    known = np.isfinite(flat).sum(axis=-1, keepdims=True)
+    usual = 1.4826 * np.take_along_axis(flat, np.maximum(known - 1, 0) // 2, axis=-1)[..., 0]
+    spread = usual.repeat(_ALIKE, axis=0).repeat(_ALIKE, axis=1)
+    spread = spread[: draw.shape[0], : draw.shape[1]]
+    return np.asarray(np.sqrt((_NEIGHBOURS * spread**2 + draw**2) / (_NEIGHBOURS + 1.0)))
 
 
 def _band(weights: FusionWeights, rows: slice) -> FusionWeights:

@@ -6,9 +6,6 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from slbench.capture.capture import CAPTURE_ENTRIES
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import warn_user
@@ -129,11 +126,11 @@ def _digest(mesh: Mesh) -> str:
 
 
 def write_cloud(path: str | Path, cloud: PointCloud, truth: GroundTruth | None = None) -> None:
-    """Write a cloud as binary PLY with ``sigma`` and, given truth, ``error`` (both mm).
+    """Write a cloud as binary PLY with ``sigma``, ``u`` and, given truth, ``error`` (all mm).
 
     ``error`` is the signed height error, NaN where truth has no lit point.
     """
-    fields: dict[str, NDArray[np.float64]] = {"sigma": cloud.sigma_total_mm}
+    fields = {"sigma": cloud.sigma_total_mm, "u": cloud.u_total_mm}
     if truth is not None:
         fields["error"] = point_errors(cloud, truth)[:, 2]
     write_ply(path, cloud.points, fields)

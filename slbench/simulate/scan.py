@@ -25,6 +25,7 @@ from slbench.core.show.display import block
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
 from slbench.patterns import PhaseMap
+from slbench.patterns.ripple import ripple_rms_px, ripples
 from slbench.rig import Pair
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Scene
@@ -32,7 +33,7 @@ from slbench.scene.truth import GroundTruth
 from slbench.score.fusion import FusionScore, score_fusion
 from slbench.score.points import Score
 from slbench.score.points import score as score_points
-from slbench.simulate.floors import floors_px, more_samples
+from slbench.simulate.floors import floor_of, more_samples
 from slbench.simulate.lights import Lights
 from slbench.simulate.sharp import expected_frames
 from slbench.simulate.stack import capture_stack
@@ -334,33 +335,43 @@ def scan(
         views[pair] = View(transport=transport, truth=truth, stack=stack, fused=fused, phase=phase)
     with stage("reconstruct"):
         view = views[only]
-        cloud = triangulate(scene.rig, view.phase)
+        ripple = ripples(view.phase, view.capture.sequence)
+        cloud = triangulate(scene.rig, view.phase).with_steady(ripple_rms_px(ripple))
     run = Run(seed=seed, noise=noise, variant=current().variant, seconds=seconds)
     used = replace(scene, samples=view.transport.samples, sequence=view.capture.sequence)
     result = Scan(scene=used, views=views, cloud=cloud, run=run)
     if score:
         with stage("score"):
-            result = replace(result, scores=score_scan(result))
+            result = score_scan(result)
         if doubt := samples_doubt(result):
             warn_user(f"scene {scene.name}", doubt)
     seconds["total"] = time.perf_counter() - begin
     return result
 
 
-def score_scan(scan: Scan) -> ScanScores:
-    """Score a scan: its points and features, the renderer's floor, and how well a stack fused."""
+def score_scan(scan: Scan) -> Scan:
+    """Score a scan: its points and features, the renderer's floor, and how well a stack fused.
+
+    Returns
+    -------
+    Scan
+        With its scores; the uncertainty of its points holds the renderer's own sampling from now
+        on.
+    """
     scene, view = scan.scene, scan.view
     fusion = None
     if scene.focus is not None:
         sharp = expected_frames(view.stack, view.transport, scene.detector, scene.exposure)
         fusion = score_fusion(view.stack, view.fused, sharp, view.truth)
-    floor, sampling = floors_px(view.transport, scene.sequence, scene.rig.projector, view.truth)
-    return ScanScores(
-        points=score_points(scan.cloud, view.truth, view.phase, scene.objects, scene.rig),
-        floor_rms_px=floor,
-        monte_carlo_rms_px=sampling,
+    floor = floor_of(view.transport, scene.sequence, scene.rig.projector, view.truth)
+    cloud = scan.cloud.with_steady(floor.sampling_px)
+    scores = ScanScores(
+        points=score_points(cloud, view.truth, view.phase, scene.objects, scene.rig),
+        floor_rms_px=floor.rms_px,
+        monte_carlo_rms_px=floor.sampling_rms_px,
         fusion=fusion,
     )
+    return replace(scan, cloud=cloud, scores=scores)
 
 
 def samples_doubt(scan: Scan) -> str | None:

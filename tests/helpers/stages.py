@@ -37,7 +37,7 @@ def noise_free_coordinates(scene, transport):
 
 def floor_rms_px(scene, transport, truth):
     """Return the renderer's floor of a scene."""
-    return floors.floors_px(transport, scene.sequence, scene.rig.projector, truth)[0]
+    return floors.floor_of(transport, scene.sequence, scene.rig.projector, truth).rms_px
 
 
 def with_lit_frame(scene):

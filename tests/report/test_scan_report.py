@@ -64,8 +64,9 @@ def test_the_cloud_is_the_scans_with_its_errors():
     assert np.sqrt(np.mean(error[finite] ** 2)) == pytest.approx(1e3 * result.score.rms_z_mm)
     distance = shown.values["distance from truth / µm"]
     assert np.median(distance[finite]) == pytest.approx(1e3 * result.score.median_abs_mm)
-    sigma = shown.values["predicted σ / µm"]
+    sigma, unsure = shown.values["predicted σ (noise) / µm"], shown.values["uncertainty u / µm"]
     assert np.median(sigma) == pytest.approx(1e3 * result.score.predicted_sigma_mm)
+    assert np.median(unsure) == pytest.approx(1e3 * result.score.predicted_u_mm)
 
 
 def test_pictures_are_the_summarys_panels():

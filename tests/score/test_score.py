@@ -356,3 +356,39 @@ def test_scores_are_plain_values():
     again = json.loads(json.dumps(result.to_dict(), allow_nan=False))
     assert [s["nominal_mm"] for s in again["steps"]] == [1.0, 2.5, 5.0]
     assert set(again["steps"][0]) >= {"object", "name", "measured_mm", "std_mm", "uncertainty_mm"}
+
+
+def test_uncertainties_cover_the_truth():
+    """Points off by noise and by a steady error, each of its own size a pixel."""
+    rng = np.random.default_rng(4)
+    truth, keep = flat_truth(), np.ones(SHAPE, bool)
+    sigma, steady = rng.uniform(0.01, 0.03, (2, *SHAPE))
+    along = np.array([0.3, 0.0, 0.4])
+    shares = []
+    for _ in range(60):
+        off = rng.normal(0.0, np.hypot(sigma, steady))
+        cloud, phase = measured(truth, off[..., None] * along, keep)
+        blind = replace(cloud, sigma_px=sigma.reshape(-1, 1))
+        # A steady error in two parts adds up by squares; another axis has none of it.
+        known = blind.with_steady({"u": 0.6 * steady}).with_steady({"u": 0.8 * steady, "v": 7.0})
+        found, less = score(known, truth, phase), score(blind, truth, phase)
+        shares.append((found.coverage_1u, found.coverage_2u, found.coverage_3u, less.coverage_1u))
+    # Some 100,000 errors: five standard deviations are 0.007 and 0.0008.
+    assert np.mean(shares, axis=0)[:2] == pytest.approx((0.6827, 0.9545), abs=0.007)
+    assert np.mean(shares, axis=0)[2] == pytest.approx(0.9973, abs=0.001)
+    assert np.mean(shares, axis=0)[3] < 0.55
+    assert found.predicted_sigma_mm == less.predicted_sigma_mm == less.predicted_u_mm
+    assert found.predicted_u_mm == pytest.approx(0.5 * np.median(np.hypot(sigma, steady)))
+
+
+def test_a_calibrations_covariance_is_added_to_a_points():
+    cloud, _ = measured(flat_truth(), np.zeros((*SHAPE, 3)), np.ones(SHAPE, bool))
+    of_rig = np.broadcast_to(np.diag([0.0, 0.0, 0.01**2]), (len(cloud), 3, 3))
+    whole = replace(cloud.with_steady({"u": 0.05}), calibration_mm2=of_rig)
+    expected = [0.3 * np.hypot(0.02, 0.05), 0.0, np.hypot(0.4 * np.hypot(0.02, 0.05), 0.01)]
+    np.testing.assert_allclose(whole.u_mm, np.tile(expected, (len(cloud), 1)))
+    np.testing.assert_array_equal(whole.sigma_mm, cloud.sigma_mm)
+    np.testing.assert_allclose(whole.u_total_mm, np.linalg.norm(expected))
+    part = whole.chosen(slice(5, 9))
+    assert len(part) == 4
+    np.testing.assert_array_equal(part.u_mm, whole.u_mm[5:9])

@@ -392,7 +392,9 @@ def test_scores_may_be_left_out_and_made_later():
     for name in ("score", "floor_rms_px", "fusion"):
         with pytest.raises(InputError, match="score_scan"):
             getattr(result, name)
-    assert score_scan(result) == with_scores.scores
+    scored = score_scan(result)
+    assert scored.scores == with_scores.scores
+    np.testing.assert_array_equal(scored.cloud.u_mm, with_scores.cloud.u_mm)
 
 
 def test_a_scan_has_a_view_of_each_pair():

@@ -32,6 +32,16 @@ THESIS = {
 }
 
 
+#: Scenes of which uncertainties do not cover the truth as a Gaussian's would, and why.
+NOT_COVERED = {
+    "v-groove": "light from the groove's other side is no ripple, and is partly taken for one",
+    "ch8-grid": "the camera's blur mixes chrome and opal all over the grid",
+    "ch8-grid-stack": "the camera's blur mixes chrome and opal all over the grid",
+    "ch8-stack": "a fused stack's own sampling is not known",
+    "ch8-watch-gear": "a fifth of the pixels lie within the camera's blur of an edge",
+}
+
+
 def test_the_thesis_scenes_are_shipped():
     assert set(SCENES) >= THESIS | {"step-block", "step-block-grainy", "plane", "sphere"}
 
@@ -54,6 +64,11 @@ def test_scene(name):
     per_px = np.median(np.linalg.norm(result.cloud.sensitivity[:, 0], axis=-1))
     expected = np.hypot(result.score.predicted_sigma_mm, result.floor_rms_px * per_px)
     assert result.score.median_abs_mm < 3.0 * expected
+    # What is known of a point's errors covers the truth, not only the value without noise.
+    if name not in NOT_COVERED:
+        score = result.score
+        coverage = (score.coverage_1u, score.coverage_2u, score.coverage_3u)
+        assert coverage == pytest.approx((0.683, 0.954, 0.997), abs=0.03)
     # Nothing about a right capture is questioned, whether its noise is stated or not.
     for noise in (result.capture.noise, None):
         with warnings.catch_warnings():

@@ -259,7 +259,7 @@ class Pools:
         def one(seed: int) -> Row:
             # Scored here: of all repeats together it is told where sampling is seen.
             made = scan(scene, seed=seed, noise=settings.noise, score=False)
-            return score_values(replace(made, scores=score_scan(made)), further)
+            return score_values(score_scan(made), further)
 
         return self._repeats((settings, further), claim.repeats, scene.name, one)
 

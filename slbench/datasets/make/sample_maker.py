@@ -48,11 +48,12 @@ from slbench.datasets.store.sample import (
     write_transport,
 )
 from slbench.datasets.store.shards import digest, key
+from slbench.patterns.ripple import ripple_rms_px, ripples
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth, Status
 from slbench.score.points import score
 from slbench.simulate.expose import capture
-from slbench.simulate.floors import floors_px
+from slbench.simulate.floors import Floor, floor_of
 from slbench.simulate.transport import LightTransport, Marginal
 
 #: Why draws are rejected.
@@ -191,7 +192,7 @@ def _measure(
     write_transport(folder / TRANSPORT, transport)
     truth.save(folder / TRUTH, scene.rig)
     captures: dict[str, Any] = {}
-    floors: dict[int, tuple[float, float]] = {}
+    floors: dict[int, Floor] = {}
     for prefix, posed in scenes.items():
         pattern_set, repeat = (int(n) for n in prefix[1:].split("r"))
         own = capture_seed(seed, pattern_set, repeat)
@@ -201,19 +202,21 @@ def _measure(
         write_capture(folder, prefix, shots)
         with threadpool_limits(1, "blas"):
             phase = shots.decode()
-            cloud = triangulate(posed.rig, phase)
-            result = score(cloud, truth, phase, posed.objects, posed.rig)
             if repeat == 0:
-                floors[pattern_set] = floors_px(
+                floors[pattern_set] = floor_of(
                     transport, posed.sequence, posed.rig.projector, truth
                 )
+            floor = floors[pattern_set]
+            cloud = triangulate(posed.rig, phase).with_steady(floor.sampling_px)
+            cloud = cloud.with_steady(ripple_rms_px(ripples(phase, posed.sequence)))
+            result = score(cloud, truth, phase, posed.objects, posed.rig)
         captures[prefix] = {
             "patterns": posed.sequence.name,
             "frames": posed.sequence.n_frames,
             "seed": own,
             **result.to_dict(),
-            "floor_rms_px": floors[pattern_set][0],
-            "monte_carlo_rms_px": floors[pattern_set][1],
+            "floor_rms_px": floor.rms_px,
+            "monte_carlo_rms_px": floor.sampling_rms_px,
         }
     return {"statistics": _statistics(transport, truth), "captures": captures}
 

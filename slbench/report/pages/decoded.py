@@ -33,7 +33,8 @@ def decoded_page(decoded: Decoded, parameters: Mapping[str, Any]) -> Page:
     if decoded.cloud:
         kind = "" if decoded.noise_kind == "stated" else f", {decoded.noise_kind}"
         fields = {
-            f"predicted deviation{kind} / mm": decoded.cloud.sigma_total_mm,
+            f"sigma (noise{kind}) / mm": decoded.cloud.sigma_total_mm,
+            f"uncertainty u{kind} / mm": decoded.cloud.u_total_mm,
             "grey value / DN": decoded.grey,
         }
         parts.append(Cloud("Cloud", decoded.cloud.points, fields))

@@ -156,7 +156,8 @@ def scan_cloud(result: Scan) -> Cloud:
     lengths = {
         "height error": error[:, 2],
         "distance from truth": np.linalg.norm(error, axis=1),
-        "predicted σ": result.cloud.sigma_total_mm,
+        "predicted σ (noise)": result.cloud.sigma_total_mm,
+        "uncertainty u": result.cloud.u_total_mm,
     }
     # One unit for all: they are compared with each other.
     finite = error[np.isfinite(error[:, 2]), 2]

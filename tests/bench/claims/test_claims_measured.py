@@ -256,8 +256,9 @@ class TestChecking:
 
     def test_what_was_not_measured_fails(self, tmp_path, monkeypatch):
         def blind(made):
-            scores = score_scan(made)
-            return replace(scores, points=replace(scores.points, steps=[]))
+            scored = score_scan(made)
+            points = replace(scored.score, steps=[])
+            return replace(scored, scores=replace(scored.scores, points=points))
 
         monkeypatch.setattr(pooling, "score_scan", blind)
         (result,) = check(tmp_path, STEP | {"repeats": 2})
