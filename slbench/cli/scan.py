@@ -127,7 +127,8 @@ def _feature_rows(scores: ScanScores) -> list[tuple[str, str]]:
     rows = [
         (
             f"step {step.nominal_mm:g} mm",
-            f"{step.measured_mm:.4f} mm, error {um * step.deviation_mm:+.2f} µm",
+            f"{step.measured_mm:.4f} mm, error {um * step.deviation_mm:+.2f} µm, "
+            f"u {um * step.uncertainty_mm:.2f} µm",
         )
         for step in score.steps
     ]
@@ -137,12 +138,16 @@ def _feature_rows(scores: ScanScores) -> list[tuple[str, str]]:
     rows += [
         (
             f"radius {s.nominal_radius_mm:g} mm",
-            f"{s.radius_mm:.4f} mm, form {um * s.form_mm:.1f} µm",
+            f"{s.radius_mm:.4f} mm, u {um * s.radius_uncertainty_mm:.2f} µm, "
+            f"form {um * s.form_mm:.1f} µm",
         )
         for s in score.spheres
     ]
     rows += [
-        (f"spacing {s.nominal_mm:g} mm", f"{s.measured_mm:.4f} mm, {s.name}")
+        (
+            f"spacing {s.nominal_mm:g} mm",
+            f"{s.measured_mm:.4f} mm, u {um * s.uncertainty_mm:.2f} µm, {s.name}",
+        )
         for s in score.spacings
     ]
     fusion = scores.fusion

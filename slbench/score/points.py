@@ -100,7 +100,7 @@ class Score:
             ("predicted from noise alone", f"{_UM * self.predicted_sigma_mm:.2f} µm"),
             ("uncertainty u", f"{_UM * self.predicted_u_mm:.2f} µm"),
             (
-                "errors within 1, 2, 3 u, smooth surface",
+                "smooth errors within 1, 2, 3 u",
                 f"{100 * self.coverage_1u:.1f}, {100 * self.coverage_2u:.1f}, "
                 f"{100 * self.coverage_3u:.1f} %",
             ),
