@@ -279,7 +279,7 @@ def _measured(
         for r in range(repeats):
             own = seed if r == 0 else tagged_seed(seed, r)
             made = scan(scene, seed=own, score=False, lights=lights)
-            made = replace(made, scores=score_scan(made))
+            made = score_scan(made)
             row = score_values(made, further)
             values[r] = [max((row[name] for name in one), key=_largest) for one in names]
             doubt = doubt or samples_doubt(made)
