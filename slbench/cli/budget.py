@@ -8,8 +8,10 @@ from typing import Annotated
 import typer
 
 from slbench.cli.common import (
+    Align,
     AllowModules,
     Json,
+    MeasuredWith,
     Preview,
     SceneChanges,
     SceneName,
@@ -36,6 +38,8 @@ def budget(
     ] = None,
     seed: Seed = 0,
     changes: SceneChanges = None,
+    measured_with: MeasuredWith = None,
+    align: Align = False,
     preview: Preview = False,
     allow_modules: AllowModules = False,
     as_json: Json = False,
@@ -43,7 +47,14 @@ def budget(
     """Measure what each source of error in a scene does alone."""
     from slbench.bench.budget.budget import BUDGET_FOLDER, error_budget, write_budget
 
-    loaded = load_changed(scene, changes, preview=preview, allow_modules=allow_modules)
+    loaded = load_changed(
+        scene,
+        changes,
+        preview=preview,
+        allow_modules=allow_modules,
+        measured_with=measured_with,
+        align=align,
+    )
     folder = out or Path("out") / f"budget-{loaded.name}"
     BUDGET_FOLDER.check(folder, "--out")
     with progress(as_json) as report:

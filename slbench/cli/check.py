@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slbench.cli.common import (
+    Align,
     AllowModules,
     Json,
+    MeasuredWith,
     Preview,
     SceneChanges,
     Seed,
@@ -44,6 +46,8 @@ def check(
     ] = None,
     seed: Seed = 0,
     changes: SceneChanges = None,
+    measured_with: MeasuredWith = None,
+    align: Align = False,
     preview: Preview = False,
     allow_modules: AllowModules = False,
     as_json: Json = False,
@@ -67,15 +71,26 @@ def check(
     from slbench.scene.changes import read_changes
 
     made = read_changes(changes or (), "--set")
-    loaded = load_claims(claims, preview=preview, allow_modules=allow_modules, changes=made)
+    loaded = load_claims(
+        claims,
+        preview=preview,
+        allow_modules=allow_modules,
+        changes=made,
+        measured_with=measured_with,
+        align=align,
+    )
     kept = baseline or default_path(claims)
+    # A default baseline is of the scenes as they are.
+    options = (("--measured-with", measured_with), ("--align", align))
+    named = [f"--set {one.key}" for one in made] + [name for name, given in options if given]
+    other = named[0] if named else ""
     if junit is not None:
         _check_path("--junit", junit, claims, kept)
     if update:
         _check_path("--baseline", kept, claims)
-        if made and baseline is None:
-            expected = f"no --set, or another --baseline: {kept} is of the scenes as they are"
-            raise InputError("--update", expected, f"--set {made[0].key}")
+        if other and baseline is None:
+            expected = f"no {other}, or another --baseline: {kept} is of the scenes as they are"
+            raise InputError("--update", expected, other)
         if preview and kept.is_file() and not read_baseline(kept).preview:
             expected = f"no --preview, or another --baseline: {kept} is of full size"
             raise InputError("--update", expected, "--preview")
@@ -85,7 +100,7 @@ def check(
             for claim in loaded:
                 pools.check(claim)
         old: Baseline | None = None
-        if made and baseline is None:
+        if other and baseline is None:
             if not update and kept.is_file():
                 print(f"{kept} is of the scenes as they are: not compared", file=sys.stderr)
         elif not update and (baseline is not None or kept.is_file()):

@@ -6,10 +6,12 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from slbench.core.errors import InputError
 from slbench.core.registry import Registry
 from slbench.core.validation import types
 
@@ -28,6 +30,17 @@ SceneChanges = Annotated[
         help="Change a key of the scene: camera.f_number=8, objects[0].position_mm[2]=1.5; "
         "give each.",
     ),
+]
+MeasuredWith = Annotated[
+    Path | None,
+    typer.Option(
+        "--measured-with",
+        help="Compute points by another rig (.yaml) or a calibration model (.json).",
+    ),
+]
+Align = Annotated[
+    bool,
+    typer.Option("--align", help="Move points to the truth, rigidly, before they are scored."),
 ]
 Weights = Annotated[
     Literal["lit", "modulation"],
@@ -53,14 +66,31 @@ AllowOutside = Annotated[
 
 
 def load_changed(
-    scene: str, changes: list[str] | None, *, preview: bool = False, allow_modules: bool = False
+    scene: str,
+    changes: list[str] | None,
+    *,
+    preview: bool = False,
+    allow_modules: bool = False,
+    measured_with: Path | None = None,
+    align: bool = False,
 ) -> Scene:
-    """Load a scene with what ``--set`` changes of it."""
+    """Load a scene with what ``--set`` changes of it, and what it is measured with."""
     from slbench.scene.changes import read_changes
     from slbench.scene.file import load_scene
 
     made = read_changes(changes or (), "--set")
-    return load_scene(scene, preview=preview, allow_modules=allow_modules, changes=made)
+    try:
+        return load_scene(
+            scene,
+            preview=preview,
+            allow_modules=allow_modules,
+            changes=made,
+            measured_with=measured_with,
+            align=align,
+        )
+    except InputError as error:
+        where = error.where.replace("measured_with", "--measured-with", 1)
+        raise InputError(where, error.expected, error.got) from None
 
 
 def listed(text: str, registry: Registry[Any], option: str) -> list[str]:

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slbench.cli.common import (
+    Align,
     AllowModules,
     Json,
+    MeasuredWith,
     Preview,
     Seed,
     Weights,
@@ -67,6 +69,8 @@ def compare(
         Path | None, typer.Option(help="HTML file to write: tables, pictures, cloud.")
     ] = None,
     seed: Seed = 0,
+    measured_with: MeasuredWith = None,
+    align: Align = False,
     preview: Preview = False,
     allow_modules: AllowModules = False,
     as_json: Json = False,
@@ -78,7 +82,11 @@ def compare(
     changes = [text for text in sets or () if is_change(text)]
     sets = [text for text in sets or () if not is_change(text)]
     if suite:
-        given = {"SCENE": scene, "--weights": None if weights == "lit" else weights}
+        given: dict[str, object] = {
+            "SCENE": scene,
+            "--weights": None if weights == "lit" else weights,
+        }
+        given |= {"--measured-with": measured_with, "--align": align or None}
         for name, value in given.items():
             if value is not None:
                 raise InputError("--suite", f"no {name}", value)
@@ -104,7 +112,14 @@ def compare(
         from slbench.report.page import check_page_path, write_page
 
         check_page_path(report, "--report")
-    loaded = load_changed(scene, changes, preview=preview, allow_modules=allow_modules)
+    loaded = load_changed(
+        scene,
+        changes,
+        preview=preview,
+        allow_modules=allow_modules,
+        measured_with=measured_with,
+        align=align,
+    )
     # Before anything is written, and read once: modules run once.
     read = pattern_sets(
         sets, loaded, shifts=own_shifts(loaded), equal=equal, allow_modules=allow_modules

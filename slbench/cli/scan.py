@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slbench.cli.common import (
+    Align,
     AllowModules,
     Json,
+    MeasuredWith,
     Preview,
     SceneChanges,
     SceneName,
@@ -60,6 +62,8 @@ def scan(
         Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
     ] = None,
     changes: SceneChanges = None,
+    measured_with: MeasuredWith = None,
+    align: Align = False,
     preview: Preview = False,
     allow_modules: AllowModules = False,
     as_json: Json = False,
@@ -68,7 +72,14 @@ def scan(
     from slbench.simulate.folder import check_scan_folder, write_scan
     from slbench.simulate.scan import scan as run
 
-    loaded = load_changed(scene, changes, preview=preview, allow_modules=allow_modules)
+    loaded = load_changed(
+        scene,
+        changes,
+        preview=preview,
+        allow_modules=allow_modules,
+        measured_with=measured_with,
+        align=align,
+    )
     if patterns is not None or steps is not None or axes is not None:
         loaded = loaded.with_changed_patterns(
             patterns, steps, axes, allow_modules=allow_modules, names=("--steps", "--axes")

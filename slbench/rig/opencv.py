@@ -8,7 +8,9 @@ apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers
 ``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
 ``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``name_*``,
 ``fill_factor_camera``, ``flux_w``,
-``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.  Other entries are left alone.
+``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.  Where the parameters' covariance is
+known, ``covariance_names`` and ``covariance`` have it (:mod:`slbench.rig.parameters`).  Other
+entries are left alone.
 
 A lens with an aperture and no focus distance is in focus where its axis comes closest to the
 world's origin, as in a scene file; at infinity where the origin is not before both devices, which
@@ -29,6 +31,7 @@ from slbench.core.io import OtherEntry, read_opencv_yaml, write_opencv_yaml
 from slbench.rig.device import Camera, Projector
 from slbench.rig.doubts import rig_doubts
 from slbench.rig.lens import Lens
+from slbench.rig.parameters import ParameterCovariance
 from slbench.rig.pose import Pose
 from slbench.rig.rig import ALONE, LEAST_DEPTH_MM, Pair, Rig
 
@@ -71,7 +74,7 @@ def _blaming_the_file(path: str | Path, name: str) -> Iterator[None]:
         raise InputError(f"{path}: {key}", error.expected, error.got) from None
 
 
-def write_rig(path: str | Path, rig: Rig) -> None:
+def write_rig(path: str | Path, rig: Rig, covariance: ParameterCovariance | None = None) -> None:
     """Write `rig` as OpenCV YAML.
 
     Parameters
@@ -79,6 +82,8 @@ def write_rig(path: str | Path, rig: Rig) -> None:
     path : path of the file to write (``.yaml`` or ``.yml``)
     rig : Rig
         One camera and one projector (``rig.pair(...)``).
+    covariance : ParameterCovariance, optional
+        Of its parameters; :func:`~slbench.rig.parameters.read_covariance` reads it back.
     """
     camera, projector = rig.camera, rig.projector
     relative = projector.pose.rotation.T @ camera.pose.rotation
@@ -112,6 +117,9 @@ def write_rig(path: str | Path, rig: Rig) -> None:
         "gamma_projector": float(projector.gamma),
         "volume_mm": np.array(rig.volume_mm, dtype=np.float64),
     }
+    if covariance is not None:
+        values["covariance_names"] = " ".join(covariance.names)
+        values["covariance"] = covariance.matrix
     write_opencv_yaml(path, values)
 
 

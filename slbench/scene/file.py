@@ -18,6 +18,7 @@ anything else (lists too) is replaced.  What several scenes share thus stands on
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,7 @@ from slbench.patterns.given import PatternsTable
 from slbench.rig import Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
+from slbench.scene.calibration import Calibration, read_calibration
 from slbench.scene.changes import (
     Change,
     Changes,
@@ -62,6 +64,8 @@ def load_scene(
     preview: bool = False,
     allow_modules: bool = False,
     changes: Changes = (),
+    measured_with: str | Path | None = None,
+    align: bool = False,
 ) -> Scene:
     """Load a scene from a TOML file.
 
@@ -78,6 +82,11 @@ def load_scene(
         Of the file's keys: ``["camera.f_number=8"]`` or ``{"camera.f_number": 8}``
         (:mod:`slbench.scene.changes`).  The scene's ``specification`` has them, in their places and
         listed as ``set``.
+    measured_with : path, optional
+        A rig (``.yaml``) or a calibration model (``.json``) by which points are computed, instead
+        of the scene's own rig and of what its ``[calibration]`` says.
+    align : bool
+        Whether points are moved to the truth by the best rigid motion before they are scored.
 
     Returns
     -------
@@ -100,6 +109,13 @@ def load_scene(
     """
     path = resources.find("scenes", name_or_path)
     scene, file = _load(path, _objects, allow_modules, read_changes(changes))
+    if measured_with is not None:
+        scene = scene.measured_with(measured_with, align=align)
+    elif align:
+        made = replace(scene.calibration or Calibration(), align=True)
+        table = scene.specification.get("calibration", {}) | {"align": True}
+        specification = scene.specification | {"calibration": table}
+        scene = replace(scene, calibration=made, specification=specification)
     for what, doubt in scene_doubts(scene, file):
         warn_user(f"{path.name}: {what}", doubt)
     if not preview:
@@ -256,6 +272,9 @@ def _build(
         samples=file.render.samples,
         specification=content,
         focus=None if file.focus is None else file.focus.focus(rig),
+        calibration=None
+        if file.calibration is None
+        else read_calibration(file.calibration, rig, path),
     )
 
 

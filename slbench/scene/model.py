@@ -32,6 +32,7 @@ from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact
 from slbench.patterns import GivenPatterns, PatternSequence, PatternSource, read_patterns
 from slbench.rig import Pose, Rig
+from slbench.scene.calibration import Calibration, calibration_of
 from slbench.scene.materials import Material
 
 #: What is projected on a scene that states no patterns.
@@ -133,6 +134,8 @@ class Scene(Value):
         The scene file's content, for provenance.
     focus : Focus or None
         Settings of a focus stack; None for one picture with the focus of the rig.
+    calibration : Calibration or None
+        What it is measured with; None for the rig that is rendered.
     """
 
     name: str
@@ -145,6 +148,7 @@ class Scene(Value):
     samples: Samples = 16
     specification: dict[str, Any] = field(default_factory=dict)
     focus: Focus | None = None
+    calibration: Calibration | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -165,6 +169,7 @@ class Scene(Value):
             f"patterns {{{self.sequence.name}}}, {self.sequence.n_frames} frames; "
             f"{self.samples} samples a pixel",
             "" if self.focus is None else f"{len(self.focus)} focus settings",
+            "" if self.calibration is None else f"measured with {self.calibration.source}",
         )
 
     def with_patterns(
@@ -290,4 +295,33 @@ class Scene(Value):
         """
         cameras = {name: one.coarser(divisor) for name, one in self.rig.cameras.items()}
         exposure = replace(self.exposure, vibration_px=self.exposure.vibration_px / divisor)
-        return replace(self, rig=self.rig.having(**cameras), exposure=exposure, samples=samples)
+        coarse = replace(self, rig=self.rig.having(**cameras), exposure=exposure, samples=samples)
+        if self.calibration is None:
+            return coarse
+        return replace(coarse, calibration=self.calibration.coarser(divisor))
+
+    def measured_with(
+        self, path: str | Path, *, align: bool = False, where: str = "measured_with"
+    ) -> Self:
+        """Return the scene measured with another rig, or a calibration model.
+
+        Parameters
+        ----------
+        path : path
+            A rig (``.yaml``, ``.yml``) or a calibration model (``.json``), for the scene's cameras
+            as they are: before :meth:`coarser`.
+        align : bool
+            Whether points are moved to the truth by the best rigid motion before they are scored.
+        where : str
+            What gave it, for messages.
+
+        Raises
+        ------
+        InputError
+            For a file that cannot be used, and a rig of other devices than the scene's.
+        """
+        made = calibration_of(path, self.rig, align=align, where=where)
+        table = {"measured_with": str(path), "sha256": made.digest, "align": align}
+        return replace(
+            self, calibration=made, specification=self.specification | {"calibration": table}
+        )

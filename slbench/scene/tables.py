@@ -27,6 +27,7 @@ from slbench.core.validation.types import (
     Pair,
     Pixels,
     Samples,
+    Seed,
     TiltDegrees,
     Vector,
     Vibration,
@@ -246,6 +247,93 @@ class FocusTable(Parameters):
         )
 
 
+class DeviceErrors(Parameters):
+    """Standard deviations of a device's parameters (:mod:`slbench.rig.parameters`)."""
+
+    # Of both, or all three, independently:
+    focal_px: NotNegative | None = None
+    centre_px: NotNegative | None = None
+    rotation_rad: NotNegative | None = None
+    translation_mm: NotNegative | None = None
+    fx_px: NotNegative | None = None
+    fy_px: NotNegative | None = None
+    cx_px: NotNegative | None = None
+    cy_px: NotNegative | None = None
+    k1: NotNegative | None = None
+    k2: NotNegative | None = None
+    p1: NotNegative | None = None
+    p2: NotNegative | None = None
+    k3: NotNegative | None = None
+    rx_rad: NotNegative | None = None
+    ry_rad: NotNegative | None = None
+    rz_rad: NotNegative | None = None
+    tx_mm: NotNegative | None = None
+    ty_mm: NotNegative | None = None
+    tz_mm: NotNegative | None = None
+
+    def deviations(self) -> dict[str, float]:
+        """Return deviations by parameter; a parameter's own comes before its group's."""
+        found: dict[str, float] = {}
+        for group, members in _GROUPS.items():
+            shared = getattr(self, group)
+            found |= {name: shared for name in members if shared}
+        own = {name: getattr(self, name) for name in type(self).model_fields if name not in _GROUPS}
+        found |= {name: value for name, value in own.items() if value is not None}
+        return {name: value for name, value in found.items() if value}
+
+
+#: Groups of parameters, each of which has the group's deviation.
+_GROUPS = {
+    "focal_px": ("fx_px", "fy_px"),
+    "centre_px": ("cx_px", "cy_px"),
+    "rotation_rad": ("rx_rad", "ry_rad", "rz_rad"),
+    "translation_mm": ("tx_mm", "ty_mm", "tz_mm"),
+}
+
+
+class ErrorsTable(Parameters):
+    """``[calibration.std]``: how far a calibration's parameters are off."""
+
+    camera: DeviceErrors = DeviceErrors()
+    projector: DeviceErrors = DeviceErrors()
+
+
+class CalibrationTable(Parameters):
+    """``[calibration]``: what is measured with, instead of the rig that is rendered."""
+
+    rig: str | None = None
+    model: str | None = None
+    std: ErrorsTable | None = None
+    covariance: str | None = None
+    seed: Seed = 0
+    redraw: bool = False
+    align: bool = False
+
+    @model_validator(mode="after")
+    def _one_way(self) -> CalibrationTable:
+        drawn = [name for name in ("std", "covariance") if getattr(self, name) is not None]
+        if self.model is not None and (self.rig is not None or drawn):
+            raise ValueError("a model, or a rig and its errors, not both")
+        if len(drawn) > 1:
+            raise ValueError("std or covariance, not both")
+        if not drawn and self.rig is None and self.model is None and not self.align:
+            raise ValueError("a rig, a model, std, covariance or align")
+        if self.redraw and not drawn:
+            raise ValueError("redraw with std or covariance only")
+        return self
+
+    def deviations(self) -> dict[str, float]:
+        """Return standard deviations by parameter of the rig; none where none is stated."""
+        if self.std is None:
+            return {}
+        devices = {"camera": self.std.camera, "projector": self.std.projector}
+        return {
+            f"{role}.{name}": value
+            for role, one in devices.items()
+            for name, value in one.deviations().items()
+        }
+
+
 class RenderTable(Parameters):
     """``[render]``."""
 
@@ -279,6 +367,7 @@ class SceneTables(Parameters):
     exposure: ExposureTable = ExposureTable()
     patterns: PatternsTable = PatternsTable()
     focus: FocusTable | None = None
+    calibration: CalibrationTable | None = None
     render: RenderTable = RenderTable()
     preview: PreviewTable = PreviewTable()
     # What the rig design needs of the hardware (slbench.design.rig.hardware); a scan does not.

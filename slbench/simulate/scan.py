@@ -19,14 +19,14 @@ import numpy as np
 from slbench.capture.capture import Capture
 from slbench.capture.doubts import exposure_doubt
 from slbench.capture.stack import FocusStack, FusedCapture, WeightSource
-from slbench.cloud.triangulation import PointCloud, triangulate
+from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import InputError, located, warn_user
-from slbench.core.show.display import block
+from slbench.core.show.display import block, length
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
 from slbench.patterns import PhaseMap
 from slbench.patterns.ripple import ripple_rms_px, ripples
-from slbench.rig import Pair
+from slbench.rig import Pair, Pose
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
@@ -35,6 +35,7 @@ from slbench.score.points import Score
 from slbench.score.points import score as score_points
 from slbench.simulate.floors import floor_of, more_samples
 from slbench.simulate.lights import Lights
+from slbench.simulate.reconstruct import calibration_doubts, reconstruct
 from slbench.simulate.sharp import expected_frames
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
@@ -117,6 +118,8 @@ class Scan:
     run : Run
     scores : ScanScores or None
         None where scoring was left out; ``score``, ``floor_rms_px`` and ``fusion`` are its parts.
+    motion : Pose or None
+        What aligned the cloud with the truth, where the scene's calibration asks for it.
     """
 
     scene: Scene
@@ -124,6 +127,7 @@ class Scan:
     cloud: PointCloud
     run: Run
     scores: ScanScores | None = None
+    motion: Pose | None = None
 
     @property
     def view(self) -> View:
@@ -199,9 +203,20 @@ class Scan:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the numbers of the whole scan as they are shown, (quantity, value)."""
+        with_what = [] if self.scene.calibration is None else [self._measured_with()]
         if self.scores is None:
-            return [("points", f"{len(self.cloud)}")]
-        return [*self.score.rows(), ("floor without noise", self._floor())]
+            return [("points", f"{len(self.cloud)}"), *with_what]
+        return [*self.score.rows(), ("floor without noise", self._floor()), *with_what]
+
+    def _measured_with(self) -> tuple[str, str]:
+        assert self.scene.calibration is not None
+        text = self.scene.calibration.source or "its own rig"
+        if self.motion is not None:
+            cosine = 0.5 * (float(np.trace(self.motion.rotation)) - 1.0)
+            turn = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+            shift = length(float(np.linalg.norm(self.motion.position)))
+            text += f", aligned by {turn:.3g}° and {shift}"
+        return "measured with", text
 
     def _floor(self) -> str:
         sampling = f"{self.monte_carlo_rms_px:.4f} by sampling"
@@ -221,10 +236,16 @@ class Scan:
             }
             if self.fusion is not None:
                 fusion = {"fusion": self.fusion.to_dict()}
+        made = self.scene.calibration
+        measured: dict[str, Any] = {} if made is None else {"measured_with": made.source}
+        if self.motion is not None:
+            motion = {"rotation": self.motion.rotation, "position_mm": self.motion.position}
+            measured["motion"] = motion
         return {
             "scene": self.scene.name,
             "patterns": self.scene.sequence.name,
             "frames": self.scene.sequence.n_frames,
+            **measured,
             **scores,
             "seed": self.run.seed,
             "noise": self.run.noise,
@@ -336,10 +357,16 @@ def scan(
     with stage("reconstruct"):
         view = views[only]
         ripple = ripples(view.phase, view.capture.sequence)
-        cloud = triangulate(scene.rig, view.phase).with_steady(ripple_rms_px(ripple))
+        made = reconstruct(scene, view.phase, view.truth, seed=seed)
+        for doubt in calibration_doubts(scene, view.phase, view.truth, made):
+            warn_user(f"scene {scene.name}: calibration", doubt)
+        cloud = made.cloud.with_steady(ripple_rms_px(ripple))
+        if made.rig is not scene.rig:  # what an operator has beside the frames
+            measured = replace(view.capture, rig=made.rig)
+            views[only] = replace(view, fused=replace(view.fused, capture=measured))
     run = Run(seed=seed, noise=noise, variant=current().variant, seconds=seconds)
     used = replace(scene, samples=view.transport.samples, sequence=view.capture.sequence)
-    result = Scan(scene=used, views=views, cloud=cloud, run=run)
+    result = Scan(scene=used, views=views, cloud=cloud, run=run, motion=made.motion)
     if score:
         with stage("score"):
             result = score_scan(result)

@@ -110,6 +110,7 @@ def ideal(scene: Scene, *, lenses: bool = False) -> Scene:
         ),
         exposure=replace(scene.exposure, vibration_px=0.0),
         light=Light(),
+        calibration=None,
     )
 
 
@@ -213,6 +214,12 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
         name = f"interreflections, {scene.light.bounces} bounces"
         lone = replace(base, light=Light(bounces=scene.light.bounces))
         found.append(Source(name, "steady", lone))
+    if scene.calibration is not None:
+        own = replace(base, calibration=scene.calibration)
+        kind: Kind = "random" if scene.calibration.redraw else "steady"
+        many = repeats if scene.calibration.redraw else 2
+        words = scene.calibration.source or "aligned"
+        found.append(Source(f"calibration ({words})", kind, own, many))
     if isinstance(real, Detector):
         grey_e = 0.5 * scene.exposure.white_level * real.saturation_e
         noisy = math.sqrt(grey_e + real.read_noise_e**2) > 0.5 * real.e_per_dn

@@ -67,6 +67,8 @@ class _Settings(Parameters):
     preview: bool | None = None
     noise: bool | None = None
     set: tuple[Word, ...] | None = None
+    measured_with: Word | None = None
+    align: bool | None = None
 
 
 class _Claim(_Settings):
@@ -96,8 +98,9 @@ class _File(Parameters):
 class Settings:
     """How a scene is measured: file, and what differs from it.
 
-    ``changes`` are of the scene's keys.  ``folder`` is that of the claims file, where it names
-    patterns: files stand in it.
+    ``changes`` are of the scene's keys, ``measured_with`` is a rig or a calibration model, and
+    ``align`` says whether points are moved to the truth.  ``folder`` is that of the claims file,
+    where it names patterns: files stand in it.
     """
 
     scene: Path
@@ -108,6 +111,8 @@ class Settings:
     preview: bool = False
     noise: bool = True
     changes: tuple[Change, ...] = ()
+    measured_with: Path | None = None
+    align: bool = False
     folder: Path | None = None
 
 
@@ -217,9 +222,15 @@ class Claim:
 def _identity(settings: Settings) -> dict[str, Any]:
     """Return settings wherever their files stand."""
     values = {f.name: getattr(settings, f.name) for f in fields(settings)}
-    del values["folder"], values["changes"]
-    changed = {"set": listed(settings.changes)} if settings.changes else {}
-    return values | {"scene": settings.scene.name} | changed
+    for name in ("folder", "changes", "measured_with", "align"):
+        del values[name]
+    # Of what was not thought of when older baselines were written: where there is any.
+    further: dict[str, Any] = {"set": listed(settings.changes)} if settings.changes else {}
+    if settings.measured_with is not None:
+        further["measured_with"] = settings.measured_with.name
+    if settings.align:
+        further["align"] = True
+    return values | {"scene": settings.scene.name} | further
 
 
 def load_claims(
@@ -228,6 +239,8 @@ def load_claims(
     preview: bool = False,
     allow_modules: bool = False,
     changes: Changes = (),
+    measured_with: str | Path | None = None,
+    align: bool = False,
 ) -> tuple[Claim, ...]:
     """Read a claims file.
 
@@ -242,6 +255,10 @@ def load_claims(
         top): code of its author.
     changes : sequence of str, or mapping
         Of every scene, after a claim's own ``set`` (:mod:`slbench.scene.changes`).
+    measured_with : path, optional
+        A rig or calibration model that every scene is measured with.
+    align : bool
+        Whether points are moved to the truth before they are scored, in every claim.
 
     Returns
     -------
@@ -270,17 +287,26 @@ def load_claims(
             claim = _claim(validated(_Claim, table, where, separator=": "), where, path.parent)
         if any(claim.name == other.name for other in claims):
             raise InputError(f"{where}: name", "a name that no other claim has", repr(claim.name))
-        claims.append(_for_all(claim, preview, made))
+        claims.append(_for_all(claim, preview, made, measured_with, align))
     return tuple(claims)
 
 
-def _for_all(claim: Claim, preview: bool, changes: tuple[Change, ...]) -> Claim:
+def _for_all(
+    claim: Claim,
+    preview: bool,
+    changes: tuple[Change, ...],
+    measured_with: str | Path | None,
+    align: bool,
+) -> Claim:
     """Return a claim with what the user says of all of them."""
 
     def changed(settings: Settings) -> Settings:
         if preview:
             settings = replace(settings, preview=True, samples=None)
-        return replace(settings, changes=(*settings.changes, *changes))
+        if measured_with is not None:
+            settings = replace(settings, measured_with=Path(measured_with))
+        own = (*settings.changes, *changes)
+        return replace(settings, changes=own, align=settings.align or align)
 
     return replace(claim, settings=changed(claim.settings), versus=changed(claim.versus))
 
@@ -416,12 +442,15 @@ def _number(value: Any) -> float | None:
 
 def _settings(table: _Settings, base: Settings, folder: Path, where: str = "") -> Settings:
     """Return `base` with what a table gives."""
-    own = [k for k in _Settings.model_fields if k not in ("scene", "set")]
+    own = [k for k in _Settings.model_fields if k not in ("scene", "set", "measured_with")]
     given = {k: getattr(table, k) for k in own}
     changed = replace(base, **{k: value for k, value in given.items() if value is not None})
     if table.set is not None:
         made = read_changes(table.set, where=f"{where}.set" if where else "set")
         changed = replace(changed, changes=(*base.changes, *made))
+    if table.measured_with is not None:
+        with located(f"{where}.measured_with" if where else "measured_with"):
+            changed = replace(changed, measured_with=resources.inside(folder, table.measured_with))
     if changed.patterns is not None:
         changed = replace(changed, folder=folder)
     if where and table.scene is not None:

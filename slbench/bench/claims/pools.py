@@ -182,6 +182,8 @@ class Pools:
         rig = scene.specification.get("rig", {}).get("file")
         if rig is not None:
             content["rig"] = _digest(resources.inside(settings.scene.parent, rig).read_bytes())
+        if scene.calibration is not None:
+            content["calibration"] = scene.calibration.digest
         return _digest(json.dumps(plain(content, keep_non_finite=True), sort_keys=True).encode())
 
     def measure(self, claim: Claim) -> tuple[Array, list[Array]]:
@@ -330,6 +332,8 @@ def _load(settings: Settings, allow_modules: bool) -> Scene:
         preview=settings.preview,
         allow_modules=allow_modules,
         changes=settings.changes,
+        measured_with=settings.measured_with,
+        align=settings.align,
     )
     if any(value is not None for value in (settings.patterns, settings.shifts, settings.axes)):
         scene = scene.with_changed_patterns(

@@ -27,13 +27,15 @@ from slbench.bench.compare.significance import Sums, moved_together
 from slbench.capture.capture import Capture
 from slbench.capture.fusion import FusionWeights
 from slbench.capture.stack import WeightSource
-from slbench.cloud.triangulation import PointCloud, triangulate
+from slbench.cloud.triangulation import PointCloud
+from slbench.core.errors import warn_user
 from slbench.patterns import Axis, NoiseModel, PhaseMap
 from slbench.patterns.matching.bound import cramer_rao, light_of
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.features import StepScore, fit_features
 from slbench.simulate.floors import halves, noise_free_coordinates, phase_map
+from slbench.simulate.reconstruct import calibration_doubts, reconstruct
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
@@ -158,7 +160,10 @@ def scan_repeats(
         fused = stack.fuse(weights)
         shots, phase, weighed = fused.capture, given.decode(fused), fused.weights
         clock.append(time.perf_counter())
-        cloud = triangulate(scene.rig, phase)
+        made = reconstruct(scene, phase, truth, seed=own)
+        cloud = made.cloud
+        for doubt in calibration_doubts(scene, phase, truth, made) if r == 0 else ():
+            warn_user(f"scene {scene.name}: calibration", doubt)
         clock.append(time.perf_counter())
 
         flat = np.ravel_multi_index((cloud.pixels[:, 1], cloud.pixels[:, 0]), truth.lit.shape)
@@ -192,7 +197,9 @@ def scan_repeats(
         if on_progress:
             on_progress((r + 1) / repeats)
     start = time.perf_counter()
-    floor, sampling = _floors(patterned, given, transports, weighed, phase.sigma, pixels, true)
+    floor, sampling = _floors(
+        *(patterned, given, transports, weighed, phase.sigma, pixels), truth=truth, seed=own
+    )
     stages["floor"] = time.perf_counter() - start
     measured = int(sums.scans.sum())
     lit = int(np.count_nonzero(truth.lit))
@@ -249,18 +256,21 @@ def _floors(
     weights: FusionWeights | None,
     sigma: Mapping[Axis, Array],
     pixels: NDArray[np.intp],
-    true: Array,
+    *,
+    truth: GroundTruth,
+    seed: int,
 ) -> tuple[Array, Array]:
     """Return distances of noise-free points from the truth, and from those of half the samples."""
 
     def points(lights: Sequence[LightTransport]) -> Array:
         sequence, projector = scene.sequence, scene.rig.projector
         coordinates = noise_free_coordinates(lights, sequence, projector, weights, given.decoder)
-        cloud = triangulate(scene.rig, phase_map(coordinates, sigma))
+        cloud = reconstruct(scene, phase_map(coordinates, sigma), truth, seed=seed).cloud
         return cloud.image(cloud.points).reshape(-1, 3)[pixels]
 
     found, half = points(transports), halves(transports)
     other = np.full_like(found, np.nan) if half is None else points(half)
+    true = truth.point.reshape(-1, 3)[pixels]
     return np.linalg.norm(found - true, axis=1), np.linalg.norm(found - other, axis=1)
 
 

@@ -22,7 +22,6 @@ import numpy as np
 import scipy.linalg  # noqa: F401  (its BLAS is among those that environment() names)
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from slbench.cloud.triangulation import triangulate
 from slbench.core.errors import InputError
 from slbench.core.io import provenance, write_json
 from slbench.core.io.scratch import temporary_folder
@@ -54,6 +53,7 @@ from slbench.scene.truth import GroundTruth, Status
 from slbench.score.points import score
 from slbench.simulate.expose import capture
 from slbench.simulate.floors import Floor, floor_of
+from slbench.simulate.reconstruct import reconstruct
 from slbench.simulate.transport import LightTransport, Marginal
 
 #: Why draws are rejected.
@@ -207,7 +207,8 @@ def _measure(
                     transport, posed.sequence, posed.rig.projector, truth
                 )
             floor = floors[pattern_set]
-            cloud = triangulate(posed.rig, phase).with_steady(floor.sampling_px)
+            cloud = reconstruct(posed, phase, truth, seed=own).cloud
+            cloud = cloud.with_steady(floor.sampling_px)
             cloud = cloud.with_steady(ripple_rms_px(ripples(phase, posed.sequence)))
             result = score(cloud, truth, phase, posed.objects, posed.rig)
         captures[prefix] = {

@@ -245,6 +245,10 @@ def load(
     if "focus" in scene:
         expected = "no focus settings (a sample has one light transport)"
         raise InputError(f"{path.name}: scene.focus", expected, "some")
+    for key in ("rig", "model", "covariance"):
+        if key in scene.get("calibration", {}):
+            expected = "std alone (a sample holds no file of another calibration)"
+            raise InputError(f"{path.name}: scene.calibration.{key}", expected, key)
     _check_tables(scene, f"{path.name}: scene")
     rig_file = scene["rig"].get("file")
     if rig_file is not None:

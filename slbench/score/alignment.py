@@ -1,0 +1,101 @@
+"""Clouds moved to the truth by the best rigid motion, before they are scored.
+
+A calibration's world is where its target lay.  What a cloud measures of a part (steps, forms,
+distances) does not depend on it; distances from the truth do, unless both frames are joined first.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.cloud.triangulation import PointCloud
+from slbench.core.errors import InputError
+from slbench.rig import Pose
+from slbench.rig.pose import product
+from slbench.scene.truth import GroundTruth
+
+Array = NDArray[np.float64]
+
+#: Fits, each without what the one before it leaves beyond so many deviations (1.4826 MAD).
+_ROUNDS, _BEYOND = 4, 4.0
+_LEAST = 3
+
+
+def best_motion(points: Array, true: Array) -> Pose:
+    """Return the rigid motion that brings points nearest to the true ones, by least squares.
+
+    Points far beyond the others' residuals (wrong fringe orders) are left out.
+
+    Parameters
+    ----------
+    points, true : (n, 3) float
+        At least three, not on a line.
+
+    Returns
+    -------
+    Pose
+        ``to_world`` moves the points.
+
+    Raises
+    ------
+    InputError
+        For fewer.
+
+    References
+    ----------
+    W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta Cryst. A 32,
+    1976.
+    """
+    kept = np.isfinite(points).all(axis=1) & np.isfinite(true).all(axis=1)
+    if np.count_nonzero(kept) < _LEAST:
+        raise InputError("alignment", f"at least {_LEAST} points with a truth", int(kept.sum()))
+    motion = _kabsch(points[kept], true[kept])
+    for _ in range(_ROUNDS):
+        residual = np.linalg.norm(motion.to_world(points) - true, axis=1)
+        limit = _BEYOND * 1.4826 * float(np.median(residual[kept])) + 1e-12
+        with np.errstate(invalid="ignore"):
+            now = residual <= limit
+        if np.count_nonzero(now) < _LEAST or np.array_equal(now, kept):
+            break
+        kept = now
+        motion = _kabsch(points[kept], true[kept])
+    return motion
+
+
+def _kabsch(points: Array, true: Array) -> Pose:
+    middle, target = points.mean(axis=0), true.mean(axis=0)
+    left, _, right = np.linalg.svd((points - middle).T @ (true - target))
+    mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    rotation = (left @ mirror @ right).T
+    return Pose(rotation, target - rotation @ middle)
+
+
+def aligned(cloud: PointCloud, truth: GroundTruth) -> tuple[PointCloud, Pose]:
+    """Return a cloud moved to the truth, and the motion.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    truth : GroundTruth
+        Of the same camera; points on smooth lit surface decide.
+
+    Raises
+    ------
+    InputError
+        If fewer than three points lie there.
+    """
+    rows, columns = cloud.pixels[:, 1], cloud.pixels[:, 0]
+    smooth = truth.smooth()[rows, columns]
+    motion = best_motion(cloud.points[smooth], truth.point[rows, columns][smooth])
+    turn = motion.rotation
+    known = cloud.calibration_mm2
+    moved = replace(
+        cloud,
+        points=motion.to_world(cloud.points),
+        sensitivity=product(cloud.sensitivity, turn.T),
+        calibration_mm2=None if known is None else turn @ known @ turn.T,
+    )
+    return moved, motion
