@@ -251,8 +251,8 @@ def error_budget(
         If more samples would change the floor.
     """
     axes = scene.sequence.variations
-    # Ideal lenses, real ones, these in the scene's own light, and one more.
-    lights = Lights(seed, kept=4)
+    # Ideal lenses and real ones, both in the scene's own light too, and without ambient light.
+    lights = Lights(seed, kept=6)
     transports = lights.traced(scene, axes)
     even, time_s = metered(scene, transports[len(transports) // 2])
     sources = sources_of(even, time_s, repeats)

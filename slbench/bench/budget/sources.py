@@ -176,7 +176,7 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
 
     Lenses are as they are in all of them: what they take of the modulation makes noise larger, and
     what they blur of the panel's pixels makes the floor smaller.  Noise is that of the scene's own
-    light, ambient light and interreflections included.
+    light: its panel, ambient light and interreflections included.
 
     Parameters
     ----------
@@ -188,8 +188,9 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
         Scans of random sources.
     """
     base, sharp = ideal(scene, lenses=True), ideal(scene)
-    lit = replace(base, light=scene.light)
     projector, camera, real = scene.rig.projector, scene.rig.camera, scene.detector
+    panel = {"bit_depth": projector.bit_depth, "gamma": projector.gamma}
+    lit, sharply_lit = (shown(replace(b, light=scene.light), **panel) for b in (base, sharp))
     found = [
         Source("floor: footprint, square panel pixels", "steady", base),
         Source(
@@ -205,8 +206,8 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
         name = "lenses: change of the floor by defocus, diffraction, blur"
         found.append(Source(name, "steady", sharp, counted=False))
     if projector.bit_depth is not None:
-        panel = shown(base, bit_depth=projector.bit_depth)
-        found.append(Source(f"panel of {projector.bit_depth} bit", "steady", panel))
+        coarse = shown(base, bit_depth=projector.bit_depth)
+        found.append(Source(f"panel of {projector.bit_depth} bit", "steady", coarse))
     if projector.gamma != 1.0:
         bent = shown(base, gamma=projector.gamma)
         found.append(Source(f"response, gamma {projector.gamma:g}", "steady", bent))
@@ -236,7 +237,8 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
             found.append(Source(name, "random", seen(dark, real, "shot"), repeats, counted=False))
         if spreading:
             name = "shot noise through ideal lenses"
-            found.append(Source(name, "random", seen(sharp, real, "shot"), repeats, counted=False))
+            through = seen(sharply_lit, real, "shot")
+            found.append(Source(name, "random", through, repeats, counted=False))
         dark_e = real.dark_current_e_per_s * time_s
         if real.read_noise_e or dark_e:
             read = seen(lit, real, "read", further_e2=dark_e)

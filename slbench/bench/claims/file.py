@@ -20,7 +20,7 @@ file and the claim.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -29,18 +29,22 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slbench.bench.claims.quantities import SPEED_FIELDS, family, pattern_set, unit, unknown
+from slbench.bench.claims.settings import (
+    Settings,
+    SettingsTable,
+    find_scene,
+    read_settings,
+)
 from slbench.bench.claims.verdicts import least_repeats
-from slbench.core import resources
 from slbench.core.errors import InputError, located
 from slbench.core.io import read_toml
 from slbench.core.modules import load_modules
-from slbench.core.registry import quoted
 from slbench.core.show.display import brief
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import LARGEST, Axes, Confidence, Samples, Shifts, Word
+from slbench.core.validation.types import LARGEST, Confidence, Word
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
-from slbench.scene.changes import Change, Changes, listed, read_changes
+from slbench.scene.changes import Change, Changes, read_changes
 
 Array = NDArray[np.float64]
 
@@ -56,22 +60,7 @@ _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _TIMES = re.compile(rf"\s*(?:({_NUMBER})\s*\*)?\s*([a-z].*?)\s*", re.DOTALL)
 
 
-class _Settings(Parameters):
-    """How a scene is measured; what is not given is as the scene has it."""
-
-    scene: Word | None = None
-    patterns: Word | None = None
-    shifts: Shifts | None = None
-    axes: Axes | None = None
-    samples: Samples | None = None
-    preview: bool | None = None
-    noise: bool | None = None
-    set: tuple[Word, ...] | None = None
-    measured_with: Word | None = None
-    align: bool | None = None
-
-
-class _Claim(_Settings):
+class _Claim(SettingsTable):
     name: Word
     scene: Word
     quantity: Word
@@ -92,28 +81,6 @@ class _Claim(_Settings):
 class _File(Parameters):
     modules: tuple[Any, ...] = ()
     claim: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How a scene is measured: file, and what differs from it.
-
-    ``changes`` are of the scene's keys, ``measured_with`` is a rig or a calibration model, and
-    ``align`` says whether points are moved to the truth.  ``folder`` is that of the claims file,
-    where it names patterns: files stand in it.
-    """
-
-    scene: Path
-    patterns: str | None = None
-    shifts: int | None = None
-    axes: str | None = None
-    samples: int | None = None
-    preview: bool = False
-    noise: bool = True
-    changes: tuple[Change, ...] = ()
-    measured_with: Path | None = None
-    align: bool = False
-    folder: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -211,26 +178,12 @@ class Claim:
         values = {
             "quantity": self.quantity,
             "relative_to": [r for r in relative if r] or None,
-            "settings": _identity(self.settings),
-            "versus": _identity(self.versus),
+            "settings": self.settings.identity(),
+            "versus": self.versus.identity(),
             "scans": self.scans if self.family == "set" else None,
             "equal": self.equal,
         }
         return {key: value for key, value in values.items() if value is not None}
-
-
-def _identity(settings: Settings) -> dict[str, Any]:
-    """Return settings wherever their files stand."""
-    values = {f.name: getattr(settings, f.name) for f in fields(settings)}
-    for name in ("folder", "changes", "measured_with", "align"):
-        del values[name]
-    # Of what was not thought of when older baselines were written: where there is any.
-    further: dict[str, Any] = {"set": listed(settings.changes)} if settings.changes else {}
-    if settings.measured_with is not None:
-        further["measured_with"] = settings.measured_with.name
-    if settings.align:
-        further["align"] = True
-    return values | {"scene": settings.scene.name} | further
 
 
 def load_claims(
@@ -312,7 +265,9 @@ def _for_all(
 
 
 def _claim(table: _Claim, where: str, folder: Path) -> Claim:
-    settings = _settings(table, Settings(_scene(table.scene, f"{where}: scene", folder)), folder)
+    settings = read_settings(
+        table, Settings(find_scene(table.scene, f"{where}: scene", folder)), folder
+    )
     limits = _limits(table, where)
     measure = family(table.quantity)
     for quantity in (table.quantity, *(limit.quantity for limit in limits if limit.quantity)):
@@ -328,8 +283,8 @@ def _claim(table: _Claim, where: str, folder: Path) -> Claim:
         if measure != "score" or not any(limit.quantity for limit in limits):
             expected = "a bound that is a quantity of a scan, to measure with other settings"
             raise InputError(f"{where}: versus", expected, table.quantity)
-        other = validated(_Settings, table.versus, f"{where}: versus")
-        versus = _settings(other, settings, folder, f"{where}: versus")
+        other = validated(SettingsTable, table.versus, f"{where}: versus")
+        versus = read_settings(other, settings, folder, f"{where}: versus")
     if versus == settings:
         _check_others(table.quantity, limits, where)
     _check_keys(table, measure, where)
@@ -438,40 +393,3 @@ def _number(value: Any) -> float | None:
     except OverflowError:  # TOML's integers have no end
         return None
     return number if abs(number) <= LARGEST else None
-
-
-def _settings(table: _Settings, base: Settings, folder: Path, where: str = "") -> Settings:
-    """Return `base` with what a table gives."""
-    own = [k for k in _Settings.model_fields if k not in ("scene", "set", "measured_with")]
-    given = {k: getattr(table, k) for k in own}
-    changed = replace(base, **{k: value for k, value in given.items() if value is not None})
-    if table.set is not None:
-        made = read_changes(table.set, where=f"{where}.set" if where else "set")
-        changed = replace(changed, changes=(*base.changes, *made))
-    if table.measured_with is not None:
-        with located(f"{where}.measured_with" if where else "measured_with"):
-            changed = replace(changed, measured_with=resources.inside(folder, table.measured_with))
-    if changed.patterns is not None:
-        changed = replace(changed, folder=folder)
-    if where and table.scene is not None:
-        changed = replace(changed, scene=_scene(table.scene, f"{where}.scene", folder))
-    return changed
-
-
-def _scene(text: str, where: str, folder: Path) -> Path:
-    """Return the file of a scene: inside the claims file's folder, else a shipped one."""
-    # The shipped scenes stand in a folder of that name.
-    name = text.removeprefix("scenes/").removesuffix(".toml")
-    shipped = resources.names("scenes")
-    try:
-        beside = resources.inside(folder, text)
-        if beside.is_file():
-            return beside
-    except InputError as error:
-        raise InputError(where, error.expected, error.got) from None
-    except OSError:  # a name too long for the file system
-        pass
-    if name in shipped:
-        return resources.find("scenes", name)
-    expected = f"a scene file inside the claims file's folder, or one of {', '.join(shipped)}"
-    raise InputError(where, expected, quoted(name, shipped))

@@ -22,7 +22,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.claims.file import Claim, Settings
+from slbench.bench.claims.file import Claim
 from slbench.bench.claims.quantities import (
     check_set,
     claim_quantities,
@@ -31,6 +31,7 @@ from slbench.bench.claims.quantities import (
     score_values,
     set_value,
 )
+from slbench.bench.claims.settings import Settings
 from slbench.bench.claims.speed import speed_ratios
 from slbench.bench.compare.compare import NothingToCompare, compare, own_shifts
 from slbench.bench.compare.comparison import SetResult

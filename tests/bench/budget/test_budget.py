@@ -270,3 +270,11 @@ def test_refused(tmp_path, options, words):
     out = tmp_path / "out"
     check_refused(run_cli("budget", write_scene(tmp_path), *options, "--out", out), *words)
     assert not out.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["plane", "v-groove", "bowl", "gamma", "ch7-gear", "ch6-brick"])
+def test_squares_add_up_on_shipped_scenes(name):
+    found = error_budget(sl.load_scene(name, preview=True), repeats=6)
+    assert found.closure == pytest.approx(1.0, abs=0.04)
+    assert found.sum_mm("random") == pytest.approx(found.random_mm, rel=0.05)
