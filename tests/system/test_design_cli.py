@@ -10,6 +10,7 @@ import pytest
 from scenes_small import check_refused, run_cli
 
 from slbench.core import resources
+from slbench.core.io import read_json
 from slbench.design.rig.constraints import feasible_sample, margins
 from slbench.design.rig.evaluate import Evaluator, evaluate
 from slbench.design.rig.hardware import VARIABLES, load_hardware, read_configurations
@@ -442,3 +443,42 @@ def test_help_has_an_example(command):
     status, out, _ = run_cli("design", command, "--help")
     assert status == 0
     assert f"Example: slbench design {command} {NAME}" in " ".join(out.split())
+
+
+class TestChangedHardware:
+    """``--set`` changes keys of the hardware, as of a scene."""
+
+    FILE = (NAME, TABLE_4)
+
+    def test_other_pixels_err_otherwise(self):
+        plain = json.loads(run_cli("design", "evaluate", *self.FILE, "--json").out)
+        other = run_cli("design", "evaluate", *self.FILE, "--json", "--set", "camera.pitch_um=3.7")
+        assert other.status == 0, other.err
+        pairs = zip(plain, json.loads(other.out), strict=True)
+        assert all(one["mu_mm"] != two["mu_mm"] for one, two in pairs)
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            ("camra.pitch_um=2", ("--set camra.pitch_um", "did you mean 'camera'?")),
+            ("design.codd_axes=2", ("--set design.codd_axes", "coded_axes")),
+            ("camera.pitch_um=-2", ("--set camera.pitch_um",)),
+        ],
+    )
+    @pytest.mark.parametrize("command", ["evaluate", "rig", "verify"])
+    def test_wrong_keys_are_refused(self, command, change, words, tmp_path):
+        rest = {"evaluate": self.FILE[1:], "rig": (), "verify": ()}[command]
+        out = () if command == "evaluate" else ("--out", tmp_path / "out")
+        outcome = run_cli("design", command, self.FILE[0], *rest, "--set", change, *out)
+        check_refused(outcome, *words)
+
+
+def test_a_design_is_of_the_changed_hardware(tmp_path):
+    out = tmp_path / "out"
+    change = ("--set", "camera.f_number=5.6")
+    done = run_cli(
+        "design", "rig", "hardware/macro-ch6", *change, "--evaluations", 60, "--out", out
+    )
+    assert done.status == 0, done.err
+    assert load_scene(out / "scene.toml").rig.camera.lens.f_number == pytest.approx(5.6)
+    assert read_json(out / "provenance.json")["parameters"]["set"] == {"camera.f_number": 5.6}

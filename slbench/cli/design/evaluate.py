@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, print_json, print_table
+from slbench.cli.common import AllowModules, Json, SceneChanges, print_json, print_table
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
 
@@ -23,6 +23,7 @@ def evaluate(
         Literal["centres", "thesis"],
         typer.Option(help="Reconstruct from pixel centres, or as table 5 of the thesis."),
     ] = "centres",
+    changes: SceneChanges = None,
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
@@ -32,10 +33,12 @@ def evaluate(
     from slbench.design.rig.evaluate import THESIS_STRIDE
     from slbench.design.rig.evaluate import evaluate as run
     from slbench.design.rig.hardware import load_hardware, read_configurations
+    from slbench.scene.changes import read_changes
 
+    made = read_changes(changes or (), "--set")
     rows = read_configurations(configurations)
     result = run(
-        load_hardware(hardware, allow_modules=allow_modules),
+        load_hardware(hardware, allow_modules=allow_modules, changes=made),
         rows,
         stride=(1, 1) if full else THESIS_STRIDE,
         convention=convention,

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, Seed, print_json, print_table, progress
+from slbench.cli.common import (
+    AllowModules,
+    Json,
+    SceneChanges,
+    Seed,
+    print_json,
+    print_table,
+    progress,
+)
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
 from slbench.core.validation.types import FINITE, Count, Interval, Length
@@ -49,6 +57,7 @@ def rig(
         Cluster | None, typer.Option(help="Cluster for the scene, not the recommended one.")
     ] = None,
     seed: Seed = 0,
+    changes: SceneChanges = None,
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
@@ -70,10 +79,12 @@ def rig(
     from slbench.design.rig.volume import largest_box
     from slbench.design.search.front import Front
     from slbench.report.plots.rig_design import DESIGN_FOLDER, write_design
+    from slbench.scene.changes import apply_changes, listed, read_changes
     from slbench.scene.file import read_merged
 
     DESIGN_FOLDER.check(out, "--out")
-    loaded = load_hardware(hardware, allow_modules=allow_modules)
+    made = read_changes(changes or (), "--set")
+    loaded = load_hardware(hardware, allow_modules=allow_modules, changes=made)
     path = resources.find("scenes", hardware)
     begin: Any = None
     if start is not None:
@@ -94,11 +105,12 @@ def rig(
         design.member(pick)  # refuse a wrong number before anything is written
     known = None if micro else thesis_configurations(loaded)
     marked = None if known is None else run(loaded, known)
-    content = read_merged(path, allow_modules)
+    content = apply_changes(read_merged(path, allow_modules), made)
     own = None if micro else own_configuration(content)
     baseline = None if own is None else run(loaded, own)
     parameters = {
         "hardware": hardware,
+        "set": listed(made),
         "objectives": design.objectives,
         "evaluations": design.front.evaluations,
         "max_footprint_mm": max_footprint_mm,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, Json, Seed, print_json, progress
+from slbench.cli.common import AllowModules, Json, SceneChanges, Seed, print_json, progress
 from slbench.cli.design.hardware import HardwareName
 from slbench.cli.lazy import command
 from slbench.core.validation.types import Interval, Samples
@@ -27,6 +27,7 @@ def verify(
     patterns: Annotated[str, typer.Option(help="A pattern set of three shifts.")] = "1,5",
     spp: Annotated[Samples, typer.Option(help="Samples a pixel.")] = 16,
     seed: Seed = 0,
+    changes: SceneChanges = None,
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
@@ -38,10 +39,12 @@ def verify(
     from slbench.design.rig.hardware import load_hardware, read_configurations
     from slbench.design.rig.verify import draw
     from slbench.design.rig.verify import verify as run
+    from slbench.scene.changes import listed, read_changes
 
     folder = OutputFolder("verification", ("verify.json", "verify.png"))
     folder.check(out, "--out")
-    loaded = load_hardware(hardware, allow_modules=allow_modules)
+    made = read_changes(changes or (), "--set")
+    loaded = load_hardware(hardware, allow_modules=allow_modules, changes=made)
     if configurations is None:
         rows = feasible_sample(loaded, count, seed)
     else:
@@ -63,7 +66,7 @@ def verify(
         "rendered_mm": result.rendered_mm,
         "rendered_z_mm": result.rendered_z_mm,
     }
-    parameters = {"hardware": hardware, "patterns": patterns, "samples": spp}
+    parameters = {"hardware": hardware, "set": listed(made), "patterns": patterns, "samples": spp}
     with folder.writing(out, parameters, seed) as temporary:
         write_json(temporary / "verify.json", found)
         draw(result, temporary / "verify.png")

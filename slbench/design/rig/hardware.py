@@ -10,7 +10,7 @@ Files: the ``[camera]``, ``[projector]`` and ``[rig]`` tables of a scene, and ``
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
@@ -37,6 +37,7 @@ from slbench.rig import (
     box_corners,
     rotation_yx,
 )
+from slbench.scene.changes import Changes, apply_changes, naming_changes, read_changes
 from slbench.scene.file import read_merged
 from slbench.scene.tables import Optics, ProjectorOptics
 
@@ -313,11 +314,15 @@ class _HardwareFile(Parameters):
     light: Any = None
     exposure: Any = None
     patterns: Any = None
+    focus: Any = None
+    calibration: Any = None
     render: Any = None
     preview: Any = None
 
 
-def load_hardware(name_or_path: str | Path, *, allow_modules: bool = False) -> Hardware:
+def load_hardware(
+    name_or_path: str | Path, *, allow_modules: bool = False, changes: Changes = ()
+) -> Hardware:
     """Load hardware from a TOML file.
 
     Parameters
@@ -325,6 +330,10 @@ def load_hardware(name_or_path: str | Path, *, allow_modules: bool = False) -> H
     name_or_path : str or Path
         A file, or the name of a shipped one such as ``"hardware/macro-ch6"``.  A scene that
         extends hardware is hardware, too.
+    allow_modules : bool
+        Run the Python modules that the file names: code of its author.
+    changes : sequence of str, or mapping
+        Of the file's keys (:mod:`slbench.scene.changes`).
 
     Returns
     -------
@@ -336,9 +345,15 @@ def load_hardware(name_or_path: str | Path, *, allow_modules: bool = False) -> H
         Naming the file and key of the first thing that cannot be used.
     """
     path = resources.find("scenes", name_or_path)
-    content = read_merged(path, allow_modules)
+    made = read_changes(changes)
+    content = apply_changes(read_merged(path, allow_modules), made)
     if "design" not in content:
         raise InputError(f"{path.name}: design", "a table of working distances and ranges", "none")
+    with naming_changes(path.name, made):
+        return _hardware(content, path)
+
+
+def _hardware(content: Mapping[str, Any], path: Path) -> Hardware:
     file = validated(_HardwareFile, content, path.name, separator=": ")
     region = {key: file.rig[key] for key in ("volume_mm",) if key in file.rig}
     volume = validated(_Volume, region, f"{path.name}: rig").volume_mm
