@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 _STYLES = {"holds": "green", "fails": "red", "regressed": "red", "undecided": "yellow"}
 
 
-@command("slbench check accuracy.claims.toml --junit report.xml")
+@command(
+    "slbench check accuracy.claims.toml --set exposure.vibration_px=0.1 "
+    "--measured-with calibrated.yaml --junit report.xml"
+)
 def check(
     claims: Annotated[Path, typer.Argument(help="A claims file (TOML with [[claim]] tables).")],
     junit: Annotated[Path | None, typer.Option(help="JUnit XML to write, for CI servers.")] = None,

@@ -31,7 +31,10 @@ if TYPE_CHECKING:
     from slbench.simulate.scan import Scan, ScanScores
 
 
-@command("slbench scan step-block --patterns 1,10,50 --steps 3 --out out/block")
+@command(
+    "slbench scan step-block --patterns 1,10,50 --set camera.f_number=8 "
+    "--measured-with calibrated.yaml --align --out out/block"
+)
 def scan(
     scene: SceneName,
     out: Annotated[

@@ -261,17 +261,22 @@ def naming_changes(file: str, changes: Sequence[Change]) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        place = error.where.removeprefix(file).removeprefix(": ").replace(": ", ".")
-        table = place.partition(" ")[0]  # patterns "1,x"
+        place = error.where.removeprefix(file).removeprefix(": ")
+        ours = error.where.startswith(file)
         for change in reversed(changes):
-            key = change.key
-            if place == key or place.startswith((f"{key}.", f"{key}[")):
-                where = change.where + place.removeprefix(key)
-            elif error.where.startswith(file) and (
-                not place or key.startswith((f"{table}.", f"{table}["))
-            ):
+            # Tables are joined by points and colons: materials: paint.albedo
+            key = re.escape(change.key).replace(r"\.", r"(?:\.|: )")
+            if found := re.match(rf"{key}(?=$|[.:\[])", place):
+                where = change.where + place[found.end() :]
+            elif ours and _encloses(place, change.key):
                 where = f"{file} with {change.where}" + (f": {place}" if place else "")
             else:
                 continue
             raise InputError(where, error.expected, error.got) from None
         raise
+
+
+def _encloses(place: str, key: str) -> bool:
+    """Return whether a place of an error is a table that a key is in: patterns "1,x"."""
+    table = place.partition(" ")[0].rstrip(":")
+    return not place or key.startswith((f"{table}.", f"{table}["))

@@ -174,6 +174,8 @@ def test_set_in_a_file_changes_what_it_extends(small, tmp_path):
         ("materials.paint.albdo=0.1", "with --set materials.paint.albdo", "'albedo'?"),
         ("objects[1].material=pain", "--set objects[1].material", "did you mean 'paint'?"),
         ("patterns.sequence=1,x", "with --set patterns.sequence", "got 'x'"),
+        ("calibration.rig=x.yaml", "--set calibration.rig: ", "x.yaml: expected a file"),
+        ("calibration.rig=../x.yaml", "--set calibration.rig: path", "which leaves it"),
         ("f_number", "--set", "expected key=value"),
         ("camera..f=1", "--set", "expected key=value"),
         ("=1", "--set", "expected key=value"),
