@@ -1,4 +1,4 @@
-"""The bench: the thesis's experiments re-run, pattern sets compared, claims checked."""
+"""The bench: pattern sets compared, claims checked, scenes swept, errors budgeted."""
 
 import lazy_loader
 

@@ -188,12 +188,13 @@ def sweep(
     fixed, axes = read_axes(changes, where)
     points = list(itertools.product(*(axis.changes for axis in axes)))
     path = resources.find("scenes", scene)
-    loaded = []
+    loaded, own_name = [], ""
     for point in points:
         one = load_scene(
             path, preview=preview, allow_modules=allow_modules, changes=(*fixed, *point)
         )
-        name = ", ".join([one.name, *(f"{c.key}={listed([c])[c.key]}" for c in point)])
+        own_name = one.name
+        name = ", ".join([own_name, *(f"{c.key}={listed([c])[c.key]}" for c in point)])
         loaded.append(replace(one, name=name))
     chosen = tuple(quantities) or _usual(loaded[0])
     for name in chosen:
@@ -220,9 +221,8 @@ def sweep(
         name, doubt = doubts[0]
         more = f"; so in {len(doubts) - 1} more combinations" if len(doubts) > 1 else ""
         warn_user(f"scene {name}", doubt + more)
-    plain = load_scene(path, preview=preview, allow_modules=allow_modules, changes=fixed)
     return Sweep(
-        scene=plain.name,
+        scene=own_name,
         axes=axes,
         quantities=chosen,
         mean=mean,
@@ -231,7 +231,7 @@ def sweep(
         seed=seed,
         traces=lights.traces,
         parameters={
-            "scene": plain.specification,
+            "scene": loaded[0].specification,  # of the first combination
             "sweep": {axis.key: list(axis.values) for axis in axes},
             "quantities": list(chosen),
             "repeats": repeats,

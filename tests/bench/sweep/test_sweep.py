@@ -116,10 +116,19 @@ def test_files_and_json(scene, tmp_path):
         assert float(row["median_abs_mm.std"]) == pytest.approx(point["std"]["median_abs_mm"])
     made = read_json(tmp_path / "out" / "provenance.json")["parameters"]
     assert made["sweep"]["exposure.vibration_px"] == [0, 0.1, 0.2]
-    assert made["scene"]["set"] == {"light.bounces": 0}
+    first = {"exposure.vibration_px": 0, "patterns.sequence": "1,8"}  # of the grid
+    assert made["scene"]["set"] == {"light.bounces": 0} | first
     del printed["out"]
     assert read_json(tmp_path / "out" / "sweep.json") == printed
     assert cv2.imread(str(tmp_path / "out" / "sweep.png")).shape[1] > 600
+
+
+def test_a_key_may_need_another_that_is_swept(scene):
+    # Without an error to draw there is nothing to draw anew.
+    std = "calibration.std.projector.ry_rad=1e-5,1e-3"
+    found = sl.sweep(scene, ["calibration.redraw=true", std], quantities=["median_abs_mm"])
+    assert found.mean[1, 0] > 3 * found.mean[0, 0]
+    assert (found.scene, found.traces) == ("small", 1)
 
 
 def test_people_get_a_table(scene, tmp_path):
