@@ -31,7 +31,8 @@ from scipy.spatial import QhullError
 from slbench.calibration.models.pinhole import PinholeModel
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import Axes, checked_inputs
-from slbench.calibration.selection import median_absolute, rms, select_models
+from slbench.calibration.scores import median_absolute, rms
+from slbench.calibration.selection import select_models
 from slbench.core.errors import InputError, warn_user
 from slbench.core.registry import Registry
 

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 
 from slbench.calibration.models.polynomials import Basis
-from slbench.calibration.scales import predictive_scale, robust_scale, rounding
+from slbench.calibration.scales import left_out_errors, predictive_scale, robust_scale, rounding
 from slbench.core.errors import InputError
 
 Array = NDArray[np.float64]
@@ -56,11 +56,16 @@ def breakdown_refused(n: int, coefficients: int) -> Iterator[None]:
     try:
         yield
     except np.linalg.LinAlgError:
-        raise InputError(
-            f"calibration points: robust fit of {coefficients} coefficients",
-            "different points enough to fix every coefficient when outliers have lost their weight",
-            f"{n} points that do not (many of them repeated?)",
-        ) from None
+        raise broken_down(n, coefficients) from None
+
+
+def broken_down(n: int, coefficients: int) -> InputError:
+    """Return the error of n points that do not determine the coefficients without outliers."""
+    return InputError(
+        f"calibration points: robust fit of {coefficients} coefficients",
+        "different points enough to fix every coefficient when outliers have lost their weight",
+        f"{n} points that do not (many of them repeated?)",
+    )
 
 
 def cauchy_weights(residuals: Array, scale: float) -> Array:
@@ -161,7 +166,7 @@ def irls(
         residuals,
         weights,
         leverage,
-        predictive_scale(residuals, leverage, robust_scale(residuals, p)),
+        predictive_scale(left_out_errors(residuals, leverage), robust_scale(residuals, p)),
         _huber_variance(residuals, scale, p),
         iteration,
         bool(converged),
@@ -227,10 +232,19 @@ def _huber_variance(residuals: Array, scale: float, p: int) -> float:
     return correction**2 * float(np.sum((residuals * weights) ** 2)) / (n - p) / mean**2
 
 
-def in_terms(basis: Basis, coefficients: Array, variance: float) -> tuple[Array, Array]:
-    """Carry coefficients and their variance from a basis to its form's terms, (p,), (p, p)."""
+def in_terms(basis: Basis, coefficients: Array, covariance: float | Array) -> tuple[Array, Array]:
+    """Carry coefficients and their covariance from a basis to its form's terms, (p,), (p, p).
+
+    Parameters
+    ----------
+    basis : Basis
+    coefficients : (p,) float
+    covariance : float or (p, p) float
+        A number is that times the unit matrix.
+    """
     inverse = solve_triangular(basis.r, np.eye(len(basis.form)), check_finite=False)
-    return inverse @ coefficients, variance * (inverse @ inverse.T)
+    inner = np.eye(len(basis.form)) * covariance if np.ndim(covariance) == 0 else covariance
+    return inverse @ coefficients, inverse @ inner @ inverse.T
 
 
 def checked_response(y: Any, n: int, where: str) -> Array:

@@ -36,29 +36,46 @@ def robust_scale(residuals: Array, coefficients: int) -> float:
     return float(0.5 * (ordered[low] + ordered[high]) / NORMAL_MAD)
 
 
-def predictive_scale(residuals: Array, leverage: Array, scale: float) -> float:
+def predictive_scale(errors: Array, scale: float, independent: int | None = None) -> float:
     """Return the deviation that 1.96 times of covers 95 % of new observations.
 
     The robust scale describes the core of the residuals.  Where they have heavier tails, as
     where dots at the ends of a volume are blurred and noisier, it would promise too much: the
-    95 % quantile of the leave-one-out residuals over 1.96 is taken then.  Outliers beyond
+    95 % quantile of the errors of points left out over 1.96 is taken then.  Outliers beyond
     :data:`GROSS` robust deviations are not what is predicted, and left out; a quantile within twice
     its standard error of the normal one, some ``2 / sqrt(n)``, is no evidence.
 
     Parameters
     ----------
-    residuals, leverage : (n,) float
-        Of the weighted fit.
+    errors : (n,) float
+        Of points predicted by a fit without them (or without their position); those that nothing
+        predicts are infinite.
     scale : float
         Robust scale of the residuals.
+    independent : int, optional
+        How many of the errors are independent: all, by default.
     """
-    left = 1.0 - leverage
-    errors = np.abs(residuals[left > 1e-6] / left[left > 1e-6])
+    errors = np.abs(errors)
     errors = errors[errors <= GROSS * scale]
     if len(errors) == 0:
         return scale
     tail = float(np.quantile(errors, 0.95)) / 1.96
-    return tail if tail > (1.0 + 2.0 / np.sqrt(len(errors))) * scale else scale
+    count = len(errors) if independent is None else min(independent, len(errors))
+    return tail if tail > (1.0 + 2.0 / np.sqrt(count)) * scale else scale
+
+
+def left_out_errors(residuals: Array, leverage: Array) -> Array:
+    """Return the errors of points predicted by a fit without them, (n,): ``r / (1 - h)``.
+
+    Parameters
+    ----------
+    residuals, leverage : (n,) float
+        Of the weighted fit.  A point of leverage 1 is fitted whatever it is: nothing predicts it,
+        and its error is infinite.
+    """
+    left = 1.0 - leverage
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(left > 1e-12, residuals / left, np.inf)
 
 
 def gross_points(
@@ -73,7 +90,8 @@ def gross_points(
     Parameters
     ----------
     residuals, leverage : (n,) float
-        Of the weighted fit.
+        Of the weighted fit; minus the leverage of points that the fit did without, whose errors
+        have the variance ``1 + h``.
     y : (n,) float
         Response, for its rounding.
     coefficients : int

@@ -198,9 +198,10 @@ def run_experiment(
     if not sum(map(len, position)):
         nothing = InputError("stage positions", "dots that can be numbered and decoded", "none")
         raise problems[0] if problems else nothing
+    positions = np.concatenate(position)
     return Experiment(
-        CalibrationPoints(np.concatenate(pixels), np.concatenate(world)),
-        np.concatenate(position),
+        CalibrationPoints(np.concatenate(pixels), np.concatenate(world), positions),
+        positions,
         positions_mm,
         np.concatenate(detection),
         sampling,

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slbench.calibration.baselines import Comparison
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection
-from slbench.calibration.summary import gross_note
+from slbench.calibration.summary import gross_note, gross_rows, position_note
 from slbench.core.io import OutputFolder, atomic_path, write_json, write_table
 from slbench.core.show.display import length_unit
 from slbench.twin.experiment import Experiment
@@ -135,8 +135,9 @@ def tables(experiment: Experiment, selection: Selection, comparison: Comparison 
     lines = [
         f"{len(experiment.points)} dots at {len(experiment.positions_mm)} positions"
         + (f" ({empty} of them without dots)" if empty else "")
-        + f"; {len(selection.train)} train, {len(selection.validation)} validate."
-        + (f" {gross_note(selection)}." if len(selection.gross) else ""),
+        + f"; {len(selection.train)} train, {len(selection.validation)} validate. "
+        + f"{position_note(experiment.points, selection)}."
+        + (f" {gross_note(experiment.points, selection)}." if len(gross_rows(selection)) else ""),
         "",
         "## Validation errors (thesis table 13), um",
         "",
@@ -208,7 +209,9 @@ def models_figure(selection: Selection) -> Figure:
             "training RMS": [s.train_rms for s in scores.values()],
             "validation RMS": [s.validation_rms for s in scores.values()],
             "root residual MS": [s.residual_ms**0.5 for s in scores.values()],
-            "CV (leave one out)": [s.cv_robust for s in scores.values()],
+            "CV (" + ("point" if selection.positions is None else "position") + " left out)": [
+                s.predictive for s in scores.values()
+            ],
         }
         for k, (label, values) in enumerate(metrics.items()):
             places = np.arange(len(forms)) + 0.2 * (k - 1.5)

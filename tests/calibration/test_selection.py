@@ -7,14 +7,8 @@ from robust_polynomial import RobustPolynomial
 
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.models.polynomials import FORMS, Standardisation, polynomial_form
-from slbench.calibration.selection import (
-    forms_for,
-    median_absolute,
-    press,
-    rms,
-    select_models,
-    split,
-)
+from slbench.calibration.scores import median_absolute, press, rms
+from slbench.calibration.selection import forms_for, select_models, split
 from slbench.core.errors import InputError
 
 
@@ -206,6 +200,8 @@ class TestGrossPoints:
             "train": 800,
             "validation": 200,
             "gross": len(np.setdiff1d(found.train, clean)),
+            "gross_validation": len(np.setdiff1d(found.validation, clean)),
+            "positions": None,
         }
 
 
@@ -233,7 +229,9 @@ class TestMultivariate:
         joint = select_models(self.points, multivariate=True, **options)
         for name in "xyz":
             for key, value in vars(alone.final[name]).items():
-                if key != "iterations":
+                if key == "cv_grouped":
+                    assert value is getattr(joint.final[name], key) is None
+                elif key != "iterations":
                     assert getattr(joint.final[name], key) == pytest.approx(value, rel=1e-9)
 
     def test_forms_that_differ_are_fitted_together(self):

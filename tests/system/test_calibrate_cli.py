@@ -49,9 +49,12 @@ def test_fit_prints_the_scores(folder):
             names = ("train_rms", "validation_rms", "validation_mad", "residual_ms", "cv")
             assert set(names) <= set(score)
             assert all(score[key] > 0 for key in names)
-    assert result["n"] == {"train": 1600, "validation": 400, "gross": 0}
+    counts = {"train": 1600, "validation": 400, "gross": 0, "gross_validation": 0}
+    assert result["n"] == counts | {"positions": None}
+    assert result["gross_rows"] == []
     assert result["seed"] == 0
-    assert set(result["isometric"]) == {"validation_rms", "validation_mad"}
+    names = {"validation_rms", "validation_mad", "validation_rms_robust"}
+    assert set(result["isometric"]) == names
     model = CalibrationModel.load(folder / "u.json")
     assert [one.form.name for one in model.coordinates] == [result[c]["selected"] for c in "xyz"]
 
@@ -232,10 +235,12 @@ def test_fit_says_how_many_points_are_gross(tmp_path):
     path = tmp_path / "points.csv"
     CalibrationPoints(pixels, points.world).write(path)
     arguments = ("calibrate", "fit", path, "--out", tmp_path / "model.json")
-    count = json.loads(run_cli(*arguments, "--json").out)["n"]["gross"]
-    assert 0 < count <= 10
-    said = f"{count} of 400 training points, off by more than 8 deviations, left out"
-    assert said in " ".join(run_cli(*arguments).out.split())
+    assert json.loads(run_cli(*arguments, "--json").out)["gross_rows"] == list(range(1, 501, 50))
+    said = " ".join(run_cli(*arguments).out.split())
+    assert "10 of 500 points left out" in said
+    assert "64 px off (a wrong fringe order?)" in said
+    assert "No positions are known" in said
+    assert "without 1 left out" in said
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_json, write_json
 from slbench.core.show.display import block, length
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Finite, NotNegative
+from slbench.core.validation.types import Count, Finite, NotNegative
 from slbench.core.validation.values import validated
 
 Array = NDArray[np.float64]
@@ -96,12 +96,16 @@ class CalibrationModel:
         x, y and z.
     domain : Domain
         Convex hull of the training inputs.
+    positions : int, optional
+        Positions of the stage that the covariances are robust to the errors of (*cluster-robust*);
+        None where points count as independent.
     """
 
     axes: Axes
     standardisation: Standardisation
     coordinates: tuple[CoordinateModel, CoordinateModel, CoordinateModel]
     domain: Domain
+    positions: int | None = None
 
     def __repr__(self) -> str:
         lines = (
@@ -228,7 +232,8 @@ class CalibrationModel:
                     for name, one in zip(COORDINATES, self.coordinates, strict=True)
                 },
                 "half_spaces": self.domain.half_spaces,
-            },
+            }
+            | ({} if self.positions is None else {"positions": self.positions}),
         )
 
     @classmethod
@@ -266,6 +271,7 @@ class CalibrationModel:
             Standardisation(mean, scale),
             (models[0], models[1], models[2]),
             Domain(half_spaces),
+            file.positions,
         )
 
 
@@ -294,6 +300,7 @@ class _File(Parameters):
     scale_px: _Vector
     coordinates: _Coordinates
     half_spaces: Annotated[tuple[_Vector, ...], Field(min_length=1)]
+    positions: Count | None = None
 
 
 def _coordinate(values: _Coordinate, axes: str, where: str) -> CoordinateModel:

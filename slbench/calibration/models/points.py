@@ -1,7 +1,9 @@
 """Calibration points: where each marking is in the world and where both devices see it.
 
 A CSV file with the header ``u_c,v_c,u_p,v_p,x_mm,y_mm,z_mm``, one marking in one position of
-the target a row (thesis 5.4.4).  With one coded panel axis ``v_p`` is ``nan``.
+the target a row (thesis 5.4.4).  With one coded panel axis ``v_p`` is ``nan``.  A further column
+``position`` says which position of the stage a marking was seen at: markings of one position share
+its error.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ Array = NDArray[np.float64]
 
 #: Header of the file.
 COLUMNS = ("u_c", "v_c", "u_p", "v_p", "x_mm", "y_mm", "z_mm")
+#: A column that a file may lack.
+POSITION = "position"
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +37,13 @@ class CalibrationPoints:
         ``u_c, v_c, u_p, v_p``, px; ``v_p`` may be NaN in all or some.
     world : (n, 3) float
         ``x, y, z``, mm.
+    position : (n,) int, optional
+        Position of the stage that each was seen at, any numbers; None where that is not known.
     """
 
     pixels: Array
     world: Array
+    position: NDArray[np.intp] | None = None
 
     __repr__ = brief
 
@@ -50,6 +57,15 @@ class CalibrationPoints:
             raise InputError("calibration points: world", f"{len(pixels)} rows", len(world))
         object.__setattr__(self, "pixels", pixels)
         object.__setattr__(self, "world", world)
+        if self.position is not None:
+            position = np.asarray(self.position)
+            whole = position.dtype.kind in "iu"
+            if position.shape != (len(pixels),) or not whole:
+                got = f"{position.dtype} {position.shape}"
+                raise InputError(
+                    "calibration points: position", f"{len(pixels)} whole numbers", got
+                )
+            object.__setattr__(self, "position", position.astype(np.intp))
 
     def __len__(self) -> int:
         return len(self.pixels)
@@ -76,25 +92,32 @@ class CalibrationPoints:
 
     def select(self, rows: NDArray) -> CalibrationPoints:
         """Return the points of some rows (indices or a mask)."""
-        return CalibrationPoints(self.pixels[rows], self.world[rows])
+        position = None if self.position is None else self.position[rows]
+        return CalibrationPoints(self.pixels[rows], self.world[rows], position)
 
     def write(self, path: str | Path) -> None:
         """Write the CSV file; numbers have nine digits."""
-        write_table(path, COLUMNS, np.column_stack((self.pixels, self.world)))
+        table = np.column_stack((self.pixels, self.world))
+        if self.position is None:
+            write_table(path, COLUMNS, table)
+        else:
+            write_table(path, (*COLUMNS, POSITION), np.column_stack((table, self.position)))
 
     @classmethod
     def read(cls, path: str | Path) -> CalibrationPoints:
         """Read a CSV file.
 
-        ``v_p`` may be ``nan``; an empty cell is refused, as in every other table.
+        ``v_p`` may be ``nan``; an empty cell is refused, as in every other table.  The column
+        ``position`` may be missing.
 
         Raises
         ------
         InputError
-            If the file is missing, a column is missing or unknown, or a number is none or not
-            finite.
+            If the file is missing, a column is missing or unknown, a number is none or not
+            finite, or a position is not a whole number.
         """
-        table = read_table(path, COLUMNS, finite=False)
+        table = read_table(path, COLUMNS, finite=False, optional=(POSITION,))
+        known = table.shape[1] > len(COLUMNS)
         needed = np.delete(table, 3, axis=1)
         if np.isinf(table[:, 3]).any() or not np.isfinite(needed).all():
             bad = ~np.isfinite(needed).all(axis=1) | np.isinf(table[:, 3])
@@ -104,4 +127,14 @@ class CalibrationPoints:
                 "finite numbers (v_p alone may be nan)",
                 ",".join(f"{value:g}" for value in table[row]),
             )
-        return cls(table[:, :4], table[:, 4:])
+        if not known:
+            return cls(table[:, :4], table[:, 4:])
+        position = table[:, -1]
+        if np.any(position != np.round(position)):
+            row = int(np.argmax(position != np.round(position)))
+            raise InputError(
+                f"{path}: row {row + 1} below the header: position",
+                "a whole number, the same for all markings of one position",
+                f"{position[row]:g}",
+            )
+        return cls(table[:, :4], table[:, 4:-1], position.astype(np.intp))

@@ -16,7 +16,10 @@ from slbench.core.validation.types import Proportion
 def fit(
     points: Annotated[
         Path,
-        typer.Argument(help="CSV: u_c,v_c,u_p,v_p,x_mm,y_mm,z_mm; with axes u, v_p may be nan."),
+        typer.Argument(
+            help="CSV: u_c,v_c,u_p,v_p,x_mm,y_mm,z_mm and perhaps position; with axes u, v_p may "
+            "be nan."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="Model to write (.json).")] = Path("model.json"),
     axes: Annotated[Literal["u", "uv"], typer.Option(help="Panel axes that the model uses.")] = "u",
@@ -27,7 +30,8 @@ def fit(
         bool, typer.Option("--multivariate", help="Fit x, y and z together.")
     ] = False,
     validation: Annotated[
-        Proportion, typer.Option(help="Share of the points that validate and do not train.")
+        Proportion,
+        typer.Option(help="Share that validates and does not train: points, or positions."),
     ] = 0.2,
     seed: Seed = 0,
     report: Annotated[
@@ -37,12 +41,14 @@ def fit(
 ) -> None:
     """Fit models to points robustly; choose by cross-validation.
 
-    Every world coordinate has a model of its own, or all together one.
+    Every world coordinate has a model of its own, or all together one. Points that do not fit the
+    others (wrong fringe orders) are left out and counted. With a column "position", whole positions
+    of the stage validate and are left out, as their points share an error.
     """
     from slbench.calibration.models.points import CalibrationPoints
     from slbench.calibration.models.polynomials import calibration_models
     from slbench.calibration.selection import select_models
-    from slbench.calibration.summary import gross_note, not_converged, score_table
+    from slbench.calibration.summary import gross_note, not_converged, position_note, score_table
     from slbench.core.io import check_output_file
 
     check_output_file(out, (".json",))
@@ -78,10 +84,13 @@ def fit(
         print_json(selection.to_dict() | {"axes": axes, **written})
         return
     print_table(score_table(selection))
-    rms, mad = (1e3 * value for value in selection.isometric.values())
-    print(f"3-D validation error: RMS {rms:.4g} µm, MAD {mad:.4g} µm")
-    if len(selection.gross):
-        print(gross_note(selection))
+    rms, mad, right = (1e3 * value for value in selection.isometric.values())
+    wrong = len(selection.gross_validation)
+    without = f" ({right:.4g} µm without {wrong} left out)" if wrong else ""
+    print(f"3-D validation error: RMS {rms:.4g} µm{without}, MAD {mad:.4g} µm")
+    print(position_note(data, selection))
+    if len(selection.gross) + wrong:
+        print(gross_note(data, selection))
     for sentence in not_converged(selection):
         print(sentence)
     print(f"Written to {' and '.join(written.values())}")

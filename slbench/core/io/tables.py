@@ -20,7 +20,7 @@ _LARGEST = 256_000_000
 
 
 def read_table(
-    path: str | Path, columns: Sequence[str], *, finite: bool = True
+    path: str | Path, columns: Sequence[str], *, finite: bool = True, optional: Sequence[str] = ()
 ) -> NDArray[np.float64]:
     """Read a CSV file of numbers.
 
@@ -32,11 +32,13 @@ def read_table(
         The header's names, all of them.
     finite : bool
         Whether NaN and infinity are refused.
+    optional : sequence of str
+        Names of further columns that may be missing.
 
     Returns
     -------
     (n, k) float
-        In the order of `columns`.
+        In the order of `columns`, then of those of `optional` that the file has.
 
     Raises
     ------
@@ -51,8 +53,11 @@ def read_table(
     except csv.Error as error:
         raise InputError(f"{path}: line {lines.line_num}", "a CSV file", error) from None
     names = [name.strip() for name in table[0][1]] if table else []
+    columns = (*columns, *(name for name in optional if name in names))
     if sorted(names) != sorted(columns):
+        missing = [name for name in optional if name not in names]
         expected = f"the header {','.join(columns)}"
+        expected += f" (and perhaps {','.join(missing)})" if missing else ""
         raise InputError(f"{path}: line 1", expected, ",".join(names)[:_SHOWN] or "none")
     order = [names.index(name) for name in columns]
     rows = []

@@ -10,7 +10,13 @@ import numpy as np
 from slbench.calibration.baselines import Comparison
 from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.selection import Selection
-from slbench.calibration.summary import score_rows
+from slbench.calibration.summary import (
+    criterion,
+    gross_rows,
+    gross_table,
+    position_note,
+    score_rows,
+)
 from slbench.core.io import provenance
 from slbench.core.show.display import length_unit
 from slbench.core.show.document import Cell, Cloud, Page, Part, Picture, Table
@@ -56,12 +62,14 @@ def calibration_page(
     -------
     Page
     """
-    parts: list[Part] = [_validation(selection, experiment is not None)]
+    parts: list[Part] = [_validation(points, selection, experiment is not None)]
     if experiment is not None:
         parts.append(_detection(experiment))
     if comparison is not None:
         parts.append(_methods(comparison))
     parts += [_cloud(points, selection), _scores(selection)]
+    if len(gross_rows(selection)):
+        parts.append(gross_table(points, selection))
     pictures = (
         ("Errors of every model", models_figure(selection), "As thesis figs. 30 to 32."),
         (
@@ -75,7 +83,7 @@ def calibration_page(
     return Page(title, tuple(parts), provenance(parameters, seed))
 
 
-def _validation(selection: Selection, thesis: bool) -> Table:
+def _validation(points: CalibrationPoints, selection: Selection, thesis: bool) -> Table:
     columns = ("coordinate", "model", "RMS / µm", "thesis / µm", "MAD / µm", "thesis / µm")
     rows: list[tuple[Cell, ...]] = [tuple(row) for row in validation_rows(selection)]
     if not thesis:
@@ -84,7 +92,7 @@ def _validation(selection: Selection, thesis: bool) -> Table:
         rows = [tuple(row[k] for k in keep) for row in rows]
     note = (
         f"{len(selection.train)} points train, {len(selection.validation)} validate; MAD is the "
-        "median of the absolute errors (thesis eq. 45)."
+        f"median of the absolute errors (thesis eq. 45). {position_note(points, selection)}."
     )
     name = "Validation errors" + (" (thesis table 13)" if thesis else "")
     return Table(name, columns, tuple(rows), note)
@@ -118,9 +126,7 @@ def _scores(selection: Selection) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for name, form, selected, *errors in score_rows(selection):
         rows.append((name, f"{form}, selected" if selected else form, *errors))
-    return Table(
-        "All models", columns, tuple(rows), "Selected by the least leave-one-out error, CV."
-    )
+    return Table("All models", columns, tuple(rows), f"Selected by {criterion(selection)}.")
 
 
 def _coefficients(selection: Selection) -> Table:

@@ -7,6 +7,7 @@ the verdict is on how often a model is chosen, not on one draw.
 Three stages: *exact*; *off in all axes*, 1.5 um each (its repeatability, thesis 8.3); and *off
 where it moves*.  In the thesis's experiment the stage never moves in x, once a row of heights in
 y, and for every position in z; the dots themselves are placed to 1 um, alike at all positions.
+Models are chosen by whole positions left out (:mod:`slbench.calibration.grouped`).
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ def disturbed(
         return points
     if stage == "all axes":
         error = rng.normal(0.0, sigma_mm, nominal.shape)
-        return CalibrationPoints(points.pixels, points.world - error[experiment.position])
+        world = points.world - error[experiment.position]
+        return CalibrationPoints(points.pixels, world, experiment.position)
     _, row = np.unique(np.round(nominal[:, 1], 6), return_inverse=True)
     error = np.zeros(nominal.shape)
     error[:, 1] = rng.normal(0.0, sigma_mm, row.max() + 1)[row]
@@ -55,7 +57,8 @@ def disturbed(
     _, dot = np.unique(own, axis=0, return_inverse=True)
     placed = np.zeros((dot.max() + 1, 3))
     placed[:, :2] = rng.normal(0.0, DOT_SIGMA_MM, (len(placed), 2))
-    return CalibrationPoints(points.pixels, points.world - error[experiment.position] - placed[dot])
+    world = points.world - error[experiment.position] - placed[dot]
+    return CalibrationPoints(points.pixels, world, experiment.position)
 
 
 def calibrations(experiment: Experiment, stage: Stage, draws: int, seed: int) -> Calibrations:
