@@ -36,7 +36,7 @@ from slbench.bench.compare.sets import PatternSet
 from slbench.core.errors import warn_user
 from slbench.core.io import OutputFolder, write_json, write_table
 from slbench.core.show.display import block, length
-from slbench.core.show.document import Table
+from slbench.core.show.document import Cell, Table
 from slbench.core.show.drawing import figure, write_figure
 from slbench.core.validation import types
 from slbench.core.validation.values import checked
@@ -144,6 +144,12 @@ class Budget:
             return float("nan")
         return (row.size_mm / self.sum_of_all_mm) ** 2
 
+    def without_mm(self, row: Row) -> float:
+        """Return the sum of squares of all without a row; NaN for what is not counted."""
+        if not row.counted:
+            return float("nan")
+        return math.sqrt(max(self.sum_of_all_mm**2 - row.size_mm**2, 0.0))
+
     def closing(self) -> str:
         """Say how far the sum of squares is from what was measured at once, in a line."""
         return (
@@ -155,16 +161,16 @@ class Budget:
 
     def table(self) -> Table:
         """Lay out the rows, the largest first, and below them the sums and the whole."""
-        rows = []
+        rows: list[tuple[Cell, ...]] = []
         for row in sorted(self.rows, key=lambda row: -row.size_mm):
-            part = self.share(row)
-            rows.append(
-                (row.name, *_by_kind(row), "–" if math.isnan(part) else f"{100 * part:.1f}")
-            )
+            part = 100.0 * self.share(row)
+            rows.append((row.name, *_by_kind(row), part, 1e3 * self.without_mm(row)))
         sums = 1e3 * self.sum_mm("random"), 1e3 * self.sum_mm("steady")
-        rows.append(("sum of squares", *sums, "100.0"))
-        rows.append((_WHOLE, 1e3 * self.random_mm, 1e3 * self.steady_mm, "–"))
-        columns = ("source, alone", "random / µm", "steady / µm", "share / %")
+        rows.append(("sum of squares", *sums, 100.0, 1e3 * self.sum_of_all_mm))
+        whole = 1e3 * self.random_mm, 1e3 * self.steady_mm
+        rows.append((_WHOLE, *whole, None, 1e3 * self.whole_mm))
+        kinds = ("random / µm", "steady / µm")
+        columns = ("source, alone", *kinds, "share / %", "all without it / µm")
         note = self.closing()
         return Table(
             f"Error budget of {self.scene}, {{{self.patterns}}}", columns, tuple(rows), note
@@ -187,6 +193,7 @@ class Budget:
                     "ci95_mm": list(row.ci95_mm),
                     "counted": row.counted,
                     "share": self.share(row),
+                    "without_mm": self.without_mm(row),
                 }
                 for row in self.rows
             ],
@@ -331,11 +338,12 @@ def _rms(values: Array) -> float:
 def write_budget(result: Budget, folder: str | Path) -> None:
     """Write ``budget.csv``, ``budget.json``, ``budget.png`` and the provenance to a folder."""
     with BUDGET_FOLDER.writing(folder, result.parameters, result.seed) as temporary:
-        columns = ("source", "kind", "size_mm", "low_mm", "high_mm", "counted", "share")
+        sizes = ("size_mm", "low_mm", "high_mm")
+        columns = ("source", "kind", *sizes, "counted", "share", "without_mm")
         rows: Sequence[Sequence[Any]] = [
             (
                 *(row.name, row.kind, row.size_mm, *row.ci95_mm),
-                *("yes" if row.counted else "no", result.share(row)),
+                *("yes" if row.counted else "no", result.share(row), result.without_mm(row)),
             )
             for row in result.rows
         ]

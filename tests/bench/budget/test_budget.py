@@ -119,6 +119,13 @@ class TestSum:
         assert (made.sum_of_all_mm, made.whole_mm) == (pytest.approx(13.0), pytest.approx(5.0))
         assert made.closure == pytest.approx(2.6)
         assert made.share(rows[3]) == pytest.approx(144 / 169)
+        assert made.without_mm(rows[3]) == pytest.approx(5.0)
+        assert math.isnan(made.without_mm(rows[2]))
+
+    def test_without_a_source_is_what_is_measured_without_it(self, budget, tmp_path):
+        still = write_scene(tmp_path, **ALL | {"exposure": {}})
+        found = error_budget(sl.load_scene(still), repeats=10, seed=2)
+        assert budget.without_mm(budget["vibration"]) == pytest.approx(found.whole_mm, rel=0.03)
 
 
 class TestSources:
@@ -241,7 +248,7 @@ def test_files_and_json(tmp_path):
 
 def test_people_get_a_ranking_and_how_far_it_closes(budget):
     table = budget.table()
-    sizes = [a if a is not None else b for _, a, b, _ in table.rows[:-2]]
+    sizes = [a if a is not None else b for _, a, b, _, _ in table.rows[:-2]]
     assert sizes == sorted(sizes, reverse=True)
     assert [row[0] for row in table.rows[-2:]] == ["sum of squares", "the scene as it is"]
     assert f"{100 * budget.closure:.0f} % of it" in table.note
