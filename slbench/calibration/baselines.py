@@ -297,6 +297,11 @@ def compare_methods(
 ) -> Comparison:
     """Score polynomial, look-up tables and pinholes on the same heights held out.
 
+    Every method is fitted to those points of the other heights that fit together
+    (:mod:`~slbench.calibration.trimmed`): tables and pinholes have no defence of their own against
+    a wrong fringe order.  What is scored is all points of the heights held out: of wrong orders
+    among those the medians tell, and not the root mean squares.
+
     Parameters
     ----------
     points : CalibrationPoints
@@ -339,8 +344,12 @@ def compare_methods(
         expected = f"heights to hold out, and {_LEAST_HEIGHTS} or more to fit to"
         raise InputError("calibration points", expected, f"{len(names)} heights")
     train, rest = points.select(~test), points.select(test)
-    training = Training(train, labels[~test], camera_size, panel_size, axes)
-    methods: dict[str, Predictor] = {"polynomial": select_models(train, axes=axes, seed=seed).model}
+    selection = select_models(train, axes=axes, seed=seed)
+    methods: dict[str, Predictor] = {"polynomial": selection.model}
+    right = np.ones(len(train), dtype=np.bool_)
+    right[selection.gross] = right[selection.gross_validation] = False
+    some = train.select(right)
+    training = Training(some, labels[~test][right], camera_size, panel_size, axes)
     for name in calibration_baselines.names() if baselines is None else baselines:
         try:
             fitted = calibration_baselines.get(name)(training)

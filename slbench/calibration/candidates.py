@@ -161,7 +161,7 @@ class Candidates:
             grouped = None
             if blocks is not None:
                 grouped = blocks.left_out_errors(fit.residuals[:, k], fit.weights, slope)
-            std = self._std(errors, grouped, scale)
+            std = predictive_scale(errors if grouped is None else grouped, scale)
             terms = in_terms(self.basis(form), fit.coefficients[k], covariances[k])
             how = (fit.weights, fit.leverage, errors, grouped, fit.iterations, fit.converged)
             result.append(self._candidate(k, CoordinateModel(form, *terms, std), *how))
@@ -181,19 +181,13 @@ class Candidates:
             pull = (fit.weights * fit.residuals)[:, None]
             (covariance,) = blocks.covariance(pull, [len(form)], np.eye(1), slope)
             grouped = blocks.left_out_errors(fit.residuals, fit.weights, slope)
-            std = self._std(errors, grouped, robust_scale(fit.residuals, len(form)))
+            std = predictive_scale(grouped, robust_scale(fit.residuals, len(form)))
         terms = in_terms(basis, fit.coefficients, covariance)
         how = (fit.weights, fit.leverage, errors, grouped, fit.iterations, fit.converged)
         return self._candidate(k, CoordinateModel(form, *terms, std), *how)
 
     def _blocks(self, q: Array) -> Blocks | None:
         return None if self._position is None else Blocks(q, self._position)
-
-    def _std(self, errors: Array, grouped: Array | None, scale: float) -> float:
-        """Return the deviation of a new observation, at a new position where those are known."""
-        if grouped is None or self._position is None:
-            return predictive_scale(errors, scale)
-        return predictive_scale(grouped, scale, len(np.unique(self._position)))
 
     def _candidate(
         self,

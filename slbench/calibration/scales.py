@@ -36,7 +36,7 @@ def robust_scale(residuals: Array, coefficients: int) -> float:
     return float(0.5 * (ordered[low] + ordered[high]) / NORMAL_MAD)
 
 
-def predictive_scale(errors: Array, scale: float, independent: int | None = None) -> float:
+def predictive_scale(errors: Array, scale: float) -> float:
     """Return the deviation that 1.96 times of covers 95 % of new observations.
 
     The robust scale describes the core of the residuals.  Where they have heavier tails, as
@@ -52,16 +52,13 @@ def predictive_scale(errors: Array, scale: float, independent: int | None = None
         predicts are infinite.
     scale : float
         Robust scale of the residuals.
-    independent : int, optional
-        How many of the errors are independent: all, by default.
     """
     errors = np.abs(errors)
     errors = errors[errors <= GROSS * scale]
     if len(errors) == 0:
         return scale
     tail = float(np.quantile(errors, 0.95)) / 1.96
-    count = len(errors) if independent is None else min(independent, len(errors))
-    return tail if tail > (1.0 + 2.0 / np.sqrt(count)) * scale else scale
+    return tail if tail > (1.0 + 2.0 / np.sqrt(len(errors))) * scale else scale
 
 
 def left_out_errors(residuals: Array, leverage: Array) -> Array:

@@ -128,6 +128,23 @@ class TestComparison:
         assert error["polynomial"] == pytest.approx(error["pinholes"], rel=0.03)
         assert set(found.to_dict()["methods"]) == set(error)
 
+    def test_wrong_orders_spoil_no_method(self):
+        points = grid_points(noise_px=0.05)
+        rng = np.random.default_rng(0)
+        rows = rng.permutation(len(points))[: len(points) // 10]
+        # At the heights that are fitted to: what is scored stays the same.
+        planes = plane_labels(points.world[:, 2])
+        rows = rows[np.isin(planes[rows], (0, 2, 4, 6, 8))]
+        pixels = points.pixels.copy()
+        pixels[rows, 2] += 64.0
+        clean = compare_methods(points, *sizes("ch8-grid"))
+        found = compare_methods(CalibrationPoints(pixels, points.world), *sizes("ch8-grid"))
+        for name in ("polynomial", "pinholes"):
+            assert found.scores[name].rms_3d < 1.3 * clean.scores[name].rms_3d
+        # A table has too few points about a pixel not to feel that some are missing.
+        for name in ("linear table", "reciprocal table"):
+            assert found.scores[name].mad_3d < 2.0 * clean.scores[name].mad_3d
+
     def test_scores_are_of_the_heights_held_out_alone(self):
         """What stands at a held-out height changes no method's fit."""
         points = grid_points(noise_px=0.05)
