@@ -89,16 +89,17 @@ class Candidate:
 
     def score(self, good: Mask, held: Mask) -> ModelScore:
         """Score the fit; `good` (n,) and `held` (m,) are the points that are not gross."""
-        n, p = len(self.residuals), len(self.model.form)
+        fitted = self.residuals[self.leverage >= 0]
+        n, p = len(fitted), len(self.model.form)
         # Without a right validation point there is no error of one.
         some = self.errors[held] if held.any() else np.array([np.nan])
         return ModelScore(
-            train_rms=rms(self.residuals),
-            train_mad=median_absolute(self.residuals),
+            train_rms=rms(fitted),
+            train_mad=median_absolute(fitted),
             validation_rms=rms(self.errors),
             validation_mad=median_absolute(self.errors),
             validation_rms_robust=rms(some),
-            residual_ms=float(self.residuals @ self.residuals) / (n - p),
+            residual_ms=float(fitted @ fitted) / (n - p),
             cv=rms(self.left_out),
             cv_robust=rms(self.left_out[good]),
             cv_grouped=None if self.grouped is None else rms(self.grouped[good]),

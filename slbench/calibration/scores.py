@@ -19,13 +19,14 @@ class ModelScore:
     Attributes
     ----------
     train_rms, train_mad : float
-        Thesis eq. 44 and 45 (median of the absolute errors) on the training points.
+        Thesis eq. 44 and 45 (median of the absolute errors) on the training points that are in
+        the fit.
     validation_rms, validation_mad : float
         The same on the validation points.
     validation_rms_robust : float
         Without the gross ones.
     residual_ms : float
-        Residual mean square, thesis eq. 46.
+        Residual mean square of the same, thesis eq. 46.
     cv : float
         Leave-one-out error of all points, thesis eq. 47.
     cv_robust : float

@@ -30,8 +30,8 @@ def score_rows(
 ) -> list[tuple[str, str, bool, float, float, float, float, float]]:
     """Return every model's errors (thesis figs. 30-32), um.
 
-    Coordinate, form, whether it is selected, training RMS, validation RMS and MAD, root of the
-    residual mean square, error of points (or positions) left out, without gross points.
+    Coordinate, form, whether it is selected, training RMS, validation RMS without gross points and
+    MAD with them, root of the residual mean square, error of points or positions left out.
     """
     return [
         (
@@ -39,7 +39,7 @@ def score_rows(
             form,
             selection.selected[name] == form,
             _UM * score.train_rms,
-            _UM * score.validation_rms,
+            _UM * score.validation_rms_robust,
             _UM * score.validation_mad,
             _UM * score.residual_ms**0.5,
             _UM * score.predictive,
@@ -55,7 +55,10 @@ def score_table(selection: Selection) -> Table:
     for name, form, selected, *errors in score_rows(selection):
         rows.append((f"{name} {form}{' *' if selected else ''}", *errors))
     columns = ("model", "train RMS", "validation RMS", "validation MAD", "√residual MS", "CV")
-    return Table(f"errors / µm; * selected by {criterion(selection)}", columns, tuple(rows))
+    name = f"errors / µm; * selected by {criterion(selection)}"
+    if len(gross_rows(selection)):
+        name += "; without points left out, but MAD"
+    return Table(name, columns, tuple(rows))
 
 
 def criterion(selection: Selection) -> str:

@@ -110,6 +110,21 @@ def test_wrong_world_coordinates_are_found_too():
     np.testing.assert_array_equal(left_out, np.sort(rows))
 
 
+@pytest.mark.parametrize("axis", [2, 3])
+def test_both_panel_axes(axis):
+    """Where u_p is wrong the points are left out; v_p can be left aside by the model."""
+    points = rig_points(400, NOISE_PX, name="plane")
+    rows = np.random.default_rng(3).permutation(400)[:80]
+    pixels = points.pixels.copy()
+    pixels[rows, axis] += PERIOD_PX
+    right = points.select(np.setdiff1d(np.arange(400), rows))
+    errors = [
+        np.std(select_models(data, axes="uv").model.predict(right.inputs("uv")) - right.world, 0)
+        for data in (points, CalibrationPoints(pixels, points.world))
+    ]
+    assert np.all(errors[1] < 1.3 * errors[0])
+
+
 def test_many_points_are_searched_in_part():
     points = rig_points(5000, NOISE_PX)
     data, wrong = wrong_orders(points, 0.2, "one way", np.random.default_rng(0))

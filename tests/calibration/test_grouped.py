@@ -168,8 +168,8 @@ def right_choices(draws, grouped):
 
 
 def test_positions_choose_better_than_dots():
-    grouped, single = right_choices(12, True), right_choices(12, False)
-    # 36 choices each: 0.9 and 0.5 are five standard errors apart.
+    grouped, single = right_choices(8, True), right_choices(8, False)
+    # 24 choices each: 0.9 and 0.5 are four standard errors apart.
     assert grouped.mean() >= 0.75
     assert grouped.mean() > single.mean() + 0.1
 

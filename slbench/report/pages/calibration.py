@@ -126,7 +126,12 @@ def _scores(selection: Selection) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for name, form, selected, *errors in score_rows(selection):
         rows.append((name, f"{form}, selected" if selected else form, *errors))
-    return Table("All models", columns, tuple(rows), f"Selected by {criterion(selection)}.")
+    return Table(
+        "All models",
+        columns,
+        tuple(rows),
+        f"Selected by {criterion(selection)}; without the points left out, but MAD.",
+    )
 
 
 def _coefficients(selection: Selection) -> Table:
