@@ -231,11 +231,14 @@ def residuals_figure(data: CalibrationPoints, selection: Selection) -> Figure:
     residuals = selection.model.predict(points.inputs(selection.model.axes)) - points.world
     figure = Figure(figsize=(13.0, 4.2), dpi=100, layout="constrained")
     field = length_unit(points.world[:, [0, 2]])
+    # Wrong points are shown, and do not rule the scale.
+    right = ~np.isin(selection.validation, selection.gross_validation)
+    right = right if right.any() else ~right
     # One unit for the three: they are compared with each other.
-    small = length_unit(np.percentile(np.abs(residuals), 98.0))
+    small = length_unit(np.percentile(np.abs(residuals[right]), 98.0))
     for k, (axes, name) in enumerate(zip(figure.subplots(1, 3), "xyz", strict=True)):
         values = small.per_mm * residuals[:, k]
-        limit = max(float(np.percentile(np.abs(values), 98.0)), 1e-6)
+        limit = max(float(np.percentile(np.abs(values[right]), 98.0)), 1e-6)
         shown = axes.scatter(
             field.per_mm * points.world[:, 0],
             field.per_mm * points.world[:, 2],

@@ -150,6 +150,9 @@ def _cloud(points: CalibrationPoints, selection: Selection) -> Cloud:
     """Return the points as the model has them, coloured by what it is off."""
     predicted = selection.model.predict(points.inputs(selection.model.axes))
     residual = predicted - points.world
+    # Points left out have a table of their own: here they would rule the colours.
+    kept = np.setdiff1d(np.arange(len(points)), gross_rows(selection))
+    predicted, residual, points = predicted[kept], residual[kept], points.select(kept)
     # One unit for all: they are compared with each other.
     unit = length_unit(np.percentile(np.abs(residual), 98.0))
     residual *= unit.per_mm
@@ -158,5 +161,8 @@ def _cloud(points: CalibrationPoints, selection: Selection) -> Cloud:
         for k, name in ((2, "z"), (0, "x"), (1, "y"))
     }
     colours[f"residual in space / {unit.name}"] = np.linalg.norm(residual, axis=1)
-    caption = "Markings where the model puts them, training and validation; truth: nominal places."
+    caption = (
+        "Markings where the model puts them, training and validation, without those left out; "
+        "truth: nominal places."
+    )
     return Cloud("Calibration points", predicted, colours, points.world, caption)
