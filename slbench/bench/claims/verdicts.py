@@ -6,8 +6,8 @@ Student's interval at the claim's confidence c::
 
     mean(m) +- t(n - 1, (1 + c) / 2) s / sqrt(n)
 
-or, where it reaches further, with the one that Hall's transformation makes of it for skewed values
-(:func:`margin_interval`).
+or, where they reach further, with those that Hall's transformation makes of it for values as skewed
+as they are or may be (:func:`margin_interval`).
 
 The claim *holds* where the whole interval is at zero or above, *fails* where it is below zero, and
 is *undecided* where it straddles zero.  A claim that is false holds in at most (1 - c) / 2 of all
@@ -24,9 +24,9 @@ for a share of 0.95 at a confidence of 0.95, all within.
 the value is zero.
 
 *How many repeats would decide?*  Where mean and spread are as they were seen, n repeats decide with
-a probability of about ``POWER`` if::
+a probability of about ``POWER`` if, with the interval's reach r towards the bound::
 
-    (t(n - 1, (1 + c) / 2) + t(n - 1, POWER)) s / sqrt(n) <= |mean(m)|
+    (r + t(n - 1, POWER)) s / sqrt(n) <= |mean(m)|
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import beta, norm, skew, t
+from scipy.stats import beta, norm, t
 
 from slbench.bench.statistics import Interval, mean_interval
 
@@ -46,9 +46,11 @@ Status = Literal["holds", "fails", "undecided"]
 
 #: Probability with which the stated number of repeats would decide.
 POWER = 0.9
-#: How much larger than a sample's skewness that of all repeats is taken to be: with it, squares of
-#: normal values (skewness 2.8) at the bound hold in 2.2 % of runs with 15 repeats, not in 11.6 %.
-SKEWNESS = 1.5
+#: How much larger than a sample's skewness that of all repeats is taken to be, and what it may be
+#: to either side whatever a sample says: magnitudes of normal values have 1.0, RMS errors less.
+SKEWNESS, LEAST_SKEWNESS = 1.5, 0.8
+#: Fewer repeats than this tell nothing of skewness, and the error allowed is halved.
+FEW = 5
 #: Differences below this are rounding, relative to the values.
 ROUNDING = 1e-9
 #: More repeats than this are no advice.
@@ -137,32 +139,56 @@ def judge_mean(values: ArrayLike, margins: Sequence[ArrayLike], confidence: floa
     return Verdict(status, len(x), 0, mean_interval(x, confidence), nearest, None, decide)
 
 
-def margin_interval(margin: Array, confidence: float) -> Interval:
+def margin_interval(margin: ArrayLike, confidence: float) -> Interval:
     """Return the mean of margins with the interval that decides.
 
-    Of Student's interval and that of P. Hall's cubic transformation (Journal of the Royal
-    Statistical Society B 54, 1992) either end is the further one.  The transformation removes the
-    first order of what skewness does to Student's t; a sample's own skewness reads low, and is
-    taken for ``SKEWNESS`` times as large.
+    Of Student's interval and those of P. Hall's cubic transformation (Journal of the Royal
+    Statistical Society B 54, 1992) either end is the furthest one.  The transformation removes the
+    first order of what skewness does to Student's t.  A sample's own skewness reads low, and of few
+    repeats says little: it is taken for ``SKEWNESS`` times as large, and for ``LEAST_SKEWNESS`` at
+    least to either side.
 
     Parameters
     ----------
-    margin : (n,) float
+    margin : (..., n) float
         At least two; all finite.
     confidence : float
+
+    Returns
+    -------
+    Interval
+        Floats, or (...) float.
     """
-    plain = mean_interval(margin, confidence)
-    n = len(margin)
-    if n < 3 or plain.high <= plain.low:
-        return plain
-    a = SKEWNESS * float(skew(margin, bias=False)) / np.sqrt(n)
-    if not abs(a) > ROUNDING:  # symmetric, or equal but for rounding
-        return plain
-    factor = t.ppf(0.5 + 0.5 * confidence, n - 1)
-    # T + a T^2 / 3 + a^2 T^3 / 27 + a / 6 = +- factor, solved for T.
-    ends = 3.0 / a * (np.cbrt(1.0 + a * (np.array([factor, -factor]) - a / 6.0)) - 1.0)
-    low, high = plain.value - ends * margin.std(ddof=1) / np.sqrt(n)
-    return Interval(plain.value, min(plain.low, float(low)), max(plain.high, float(high)))
+    m = np.asarray(margin, float)
+    mean, spread = m.mean(axis=-1), m.std(axis=-1, ddof=1)
+    below, above = _reach(m, m.shape[-1], confidence)
+    scale = spread / np.sqrt(m.shape[-1])
+    return Interval(mean, mean - below * scale, mean + above * scale)
+
+
+def _reach(margin: Array, n: ArrayLike, confidence: float) -> tuple[Array, Array]:
+    """Return how far intervals of n repeats reach below and above, in standard errors of the mean.
+
+    Repeats are as skewed as the margins (..., m), as far as they tell.
+    """
+    count = np.asarray(n, float)
+    tail = np.where(count < FEW, 0.5, 1.0) * 0.5 * (1.0 - confidence)
+    student = np.asarray(t.ppf(1.0 - tail, count - 1))
+    own = np.zeros(margin.shape[:-1])
+    if margin.shape[-1] > 2:
+        off = margin - margin.mean(axis=-1, keepdims=True)
+        # Equal but for rounding: no skewness, and no width either.
+        scale = np.maximum(off.std(axis=-1), np.finfo(float).tiny)
+        m = margin.shape[-1]
+        unbiased = np.sqrt(m * (m - 1.0)) / (m - 2.0)
+        own = SKEWNESS * unbiased * np.mean((off / scale[..., None]) ** 3, axis=-1)
+    below, above = student, student
+    for skewness in (np.maximum(own, LEAST_SKEWNESS), np.minimum(own, -LEAST_SKEWNESS)):
+        a = skewness / np.sqrt(count)
+        # T + a T^2 / 3 + a^2 T^3 / 27 + a / 6 = +- student, solved for T.
+        ends = (3.0 / a * (np.cbrt(1.0 + a * (s - a / 6.0)) - 1.0) for s in (student, -student))
+        below, above = np.maximum(below, next(ends)), np.maximum(above, -next(ends))
+    return below, above
 
 
 def judge_each(
@@ -219,8 +245,8 @@ def _repeats_for_mean(margin: Array, confidence: float) -> int | None:
     """Return the number of repeats that would tell the mean margin from zero."""
     mean, spread = abs(float(margin.mean())), float(margin.std(ddof=1))
     n = _candidates(len(margin) + 1)
-    factor = t.ppf(0.5 + 0.5 * confidence, n - 1) + t.ppf(POWER, n - 1)
-    return _first(n, factor * spread / np.sqrt(n) <= mean)
+    reach = _reach(margin, n, confidence)[0 if margin.mean() > 0.0 else 1]
+    return _first(n, (reach + t.ppf(POWER, n - 1)) * spread / np.sqrt(n) <= mean)
 
 
 def _repeats_for_share(found: float, share: float, confidence: float, start: int) -> int | None:

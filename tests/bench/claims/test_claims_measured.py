@@ -248,7 +248,7 @@ class TestChecking:
 
     def test_other_settings_beside_one_another(self, tmp_path):
         """Samples hardly change the floor of a plate: paired by the seeds of the repeats."""
-        floor = {"name": "floor", "quantity": "floor_rms_px", "samples": 64, "repeats": 5}
+        floor = {"name": "floor", "quantity": "floor_rms_px", "samples": 64, "repeats": 8}
         (finer,) = check(tmp_path, floor | {"max": "1.5 * floor_rms_px", "versus": {"samples": 16}})
         assert finer.outcome == "holds", (finer.values, finer.bounds)
         assert finer.bounds[0].mean() > finer.values.mean()

@@ -64,7 +64,7 @@ class TestMeans:
         assert statuses(draw, -1.0, 9, mean_at(0.95))["fails"] == 1.0
 
     def test_a_range_needs_both_ends(self):
-        x = np.array([0.9, 1.0, 1.1, 1.0])
+        x = np.array([0.9, 1.0, 1.1, 1.0, 0.95, 1.05])
         assert judge_mean(x, [x - 0.5, 1.5 - x], 0.95).status == "holds"
         assert judge_mean(x, [x - 1.5, 2.5 - x], 0.95).status == "fails"
         assert judge_mean(x, [x - 0.5, 1.01 - x], 0.95).status == "undecided"
