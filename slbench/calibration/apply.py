@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,43 +23,21 @@ class CalibratedCloud:
     Parameters
     ----------
     cloud : PointCloud
-        With the deviation of the panel coordinates and the model's gradient by them.
-    model_std : (N, 3) float
-        Predicted deviation of the model itself, mm.
+        With the deviation of the panel coordinates, the model's gradient by them, and the model's
+        own uncertainty, coordinate by coordinate.
     extrapolated : (N,) bool
         Outside the model's domain.
     """
 
     cloud: PointCloud
-    model_std: Array
     extrapolated: NDArray[np.bool_]
 
     __repr__ = brief
 
-    @property
-    def sigma_mm(self) -> Array:
-        """Standard deviation per world axis, (N, 3), mm: model and phase noise together."""
-        return np.hypot(self.model_std, self.cloud.sigma_mm)
-
-    @property
-    def sigma_total_mm(self) -> Array:
-        """Standard deviation of the distance to the true point, (N,), mm."""
-        noise = self.cloud.sensitivity * self.cloud.sigma_px[..., None]
-        variance = np.einsum("ni,ni->n", self.model_std, self.model_std)
-        variance += np.einsum("nai,nai->n", noise, noise)
-        return np.sqrt(variance)
-
     def inside(self) -> CalibratedCloud:
         """Return the points that the model does not extrapolate to."""
         kept = ~self.extrapolated
-        cloud = replace(
-            self.cloud,
-            points=self.cloud.points[kept],
-            pixels=self.cloud.pixels[kept],
-            sigma_px=self.cloud.sigma_px[kept],
-            sensitivity=self.cloud.sensitivity[kept],
-        )
-        return CalibratedCloud(cloud, self.model_std[kept], self.extrapolated[kept])
+        return CalibratedCloud(self.cloud.chosen(kept), self.extrapolated[kept])
 
 
 def measure(model: CalibrationModel, phase: PhaseMap) -> CalibratedCloud:
@@ -93,11 +71,14 @@ def measure(model: CalibrationModel, phase: PhaseMap) -> CalibratedCloud:
         nothing = np.empty((0, 3))
         slopes = np.empty((0, len(axes), 3))
         cloud = PointCloud(nothing, pixels, mask.shape, axes, sigma, slopes)
-        return CalibratedCloud(cloud, nothing, np.empty(0, dtype=np.bool_))
+        return CalibratedCloud(cloud, np.empty(0, dtype=np.bool_))
     inputs = np.empty((count, 2 + len(axes)))
     inputs[:, :2] = pixels
     for k, axis in enumerate(axes):
         inputs[:, 2 + k] = phase.coordinate[axis][mask]
     found = model.measure(inputs)
-    cloud = PointCloud(found.points, pixels, mask.shape, axes, sigma, found.sensitivity)
-    return CalibratedCloud(cloud, found.std, ~found.inside)
+    own = found.std[:, :, None] ** 2 * np.eye(3)
+    cloud = PointCloud(
+        found.points, pixels, mask.shape, axes, sigma, found.sensitivity, calibration_mm2=own
+    )
+    return CalibratedCloud(cloud, ~found.inside)

@@ -12,6 +12,7 @@ import numpy as np
 
 from slbench.calibration.apply import measure
 from slbench.calibration.doubts import resolution_doubt
+from slbench.cloud.calibrated import with_calibration
 from slbench.cloud.gaps import lost_points, ray_gap, rig_doubts
 from slbench.cloud.triangulation import PointCloud, triangulate
 from slbench.core.errors import located
@@ -74,7 +75,12 @@ def reconstruct(
         return Reconstruction(cloud=triangulate(scene.rig, phase), rig=scene.rig)
     rig = made.rig_for(scene.rig, seed)
     with located(f"scene {scene.name}: calibration"):
-        cloud = triangulate(rig, phase) if made.model is None else measure(made.model, phase).cloud
+        if made.model is not None:
+            cloud = measure(made.model, phase).cloud
+        else:
+            cloud = triangulate(rig, phase)
+            if made.covariance is not None:
+                cloud = with_calibration(cloud, rig, phase, made.covariance)
         if not made.align or not len(cloud):
             return Reconstruction(cloud=cloud, rig=rig)
         cloud, motion = aligned(cloud, truth)

@@ -97,9 +97,11 @@ def test_apply_measures_the_plane(folder, tmp_path, axes):
     assert outside[beyond].all()
     assert np.mean(outside[~beyond]) < 0.1
     assert np.median(fields["sigma"]) == pytest.approx(result["predicted_sigma_mm"], rel=1e-6)
+    assert np.median(fields["u"]) == pytest.approx(result["predicted_u_mm"], rel=1e-6)
+    assert np.all(fields["u"] > fields["sigma"])
     # The height of a plane at zero, to what is predicted for all three coordinates.
     z = points[~outside, 2]
-    sigma = fields["sigma"][~outside]
+    sigma = fields["u"][~outside]
     assert np.mean(np.abs(z) < 1.96 * sigma) > 0.95
     assert np.abs(np.median(z)) < 0.2 * np.median(sigma)
 

@@ -53,13 +53,15 @@ def apply(
         share = f"{outside} of {decoded} pixels are outside the model's domain"
         why = resolution_doubt(calibration, phase.mask.shape)
         warn_user(capture, f"{share}: {why or 'another camera, or a larger object?'}")
-    sigma = measured.sigma_total_mm
-    fields = {"sigma": sigma, "extrapolated": measured.extrapolated.astype(np.float64)}
+    sigma, unsure = measured.cloud.sigma_total_mm, measured.cloud.u_total_mm
+    outer = measured.extrapolated.astype(np.float64)
+    fields = {"sigma": sigma, "u": unsure, "extrapolated": outer}
     write_ply(out, measured.cloud.points, fields)
     result = {
         "points": count,
         "outside": outside,
         "predicted_sigma_mm": float(np.median(sigma)),
+        "predicted_u_mm": float(np.median(unsure)),
         "out": str(out),
     }
     if as_json:
@@ -67,5 +69,8 @@ def apply(
         return
     print(f"{count} points, {outside} of {decoded} pixels outside the model's domain", end="")
     print(" left out" if inside_only else "")
-    print(f"predicted standard deviation: {1e3 * float(np.median(sigma)):.4g} µm (median)")
+    print(
+        f"standard deviation by noise {1e3 * float(np.median(sigma)):.4g} µm, "
+        f"uncertainty {1e3 * float(np.median(unsure)):.4g} µm (medians)"
+    )
     print(f"Written to {out}")

@@ -66,7 +66,8 @@ def test_a_claim_at_its_bound_is_seldom_decided(name, vibration_px, repeats, cou
     rng, runs = np.random.default_rng(7), 2000 if count > 40 else 200
     tried, often = 0, {}
     for quantity, values in scans(name, vibration_px, count).items():
-        if np.isnan(values).any() or np.ptp(values) <= 1e-9 * np.abs(values).max():
+        # Of a count that hardly ever changes, equal repeats show no scatter.
+        if np.isnan(values).any() or len(np.unique(np.round(values, 12))) < 10:
             continue
         if abs(skew(values)) > RARE or (count <= 40 and quantity not in QUICK):
             continue

@@ -312,7 +312,8 @@ class TestMeasure:
         np.testing.assert_array_equal(found.cloud.pixels, np.column_stack((u, v)))
         slope = MODEL.gradient(inputs)[:, :, 2]
         expected = np.sqrt(MODEL.predict_std(inputs) ** 2 + (0.02 * slope) ** 2)
-        np.testing.assert_allclose(found.sigma_mm, expected, rtol=1e-12)
+        np.testing.assert_allclose(found.cloud.u_mm, expected, rtol=1e-12)
+        np.testing.assert_allclose(found.cloud.sigma_mm, np.abs(0.02 * slope), rtol=1e-12)
         np.testing.assert_array_equal(found.extrapolated, ~MODEL.inside(inputs))
         assert len(found.inside().cloud) == MODEL.inside(inputs).sum()
 
