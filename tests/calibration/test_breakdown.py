@@ -1,5 +1,7 @@
 """Wrong fringe orders: what the fit withstands, over rigs, shares, numbers and patterns."""
 
+import functools
+
 import numpy as np
 import pytest
 from calibration_data import polynomial_data, rig_points
@@ -32,11 +34,17 @@ def wrong_orders(points, share, pattern, rng):
     return CalibrationPoints(pixels, points.world, points.position), wrong
 
 
+@functools.cache
+def without_wrong(rig, n, seed, multivariate):
+    """Return right points and what is found of them."""
+    points = rig_points(n, NOISE_PX, seed=seed, name=rig)
+    return points, select_models(points, seed=seed, multivariate=multivariate)
+
+
 def ratio(rig, n, share, pattern, seed, multivariate=False):
     """Error of the right points with wrong ones among them, over that without any."""
-    points = rig_points(n, NOISE_PX, seed=seed, name=rig)
+    points, clean = without_wrong(rig, n, seed, multivariate)
     data, wrong = wrong_orders(points, share, pattern, np.random.default_rng([seed, 1]))
-    clean = select_models(points, seed=seed, multivariate=multivariate)
     found = select_models(data, seed=seed, multivariate=multivariate)
     right = points.select(~wrong)
     before, after = (
