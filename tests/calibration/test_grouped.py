@@ -261,3 +261,24 @@ def test_the_model_keeps_its_positions(tmp_path):
         )
     ]
     assert min(ratio) > chi2(10).ppf(0.5) / 10 * 2
+
+
+@pytest.mark.parametrize("draws", [10, pytest.param(80, marks=pytest.mark.statistics)])
+def test_points_at_new_positions_are_within_predicted_deviations(draws):
+    """The held-out truth: whole new positions, of which each has an error of the stage."""
+    base, new = staged(), staged(heights=7, shifts=3)
+    within = []
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
+        model = select_models(disturbed(base, rng)).model
+        fresh = disturbed(new, rng)
+        inputs = fresh.inputs()
+        normed = np.abs(model.predict(inputs) - fresh.world) / model.predict_std(inputs)
+        within.append([np.mean(normed < k, axis=0) for k in (1.0, 2.0, 3.0)])
+    one, two, three = np.mean(within, axis=0)
+    # 21 positions a draw share an error each: three deviations of the share over ten draws, 80.
+    # Over 80, 0.72 are within one deviation: deviations are some 8 % larger than errors.
+    slack = 0.1 if draws == 10 else 0.05
+    np.testing.assert_allclose(one, 0.683, rtol=0, atol=slack)
+    np.testing.assert_allclose(two, 0.954, rtol=0, atol=0.5 * slack)
+    assert np.all(three > 0.985)
