@@ -153,9 +153,11 @@ class PatternSequence(Value):
         the short text has no word for (a grey flat, a Gray code without inverses, two axes coded
         differently, the direction of fringes) is shown but not parsed.
         """
-        texts = {axis: self._text((axis,)) for axis in self.axes}
-        alike = len(set(texts.values())) <= 1
-        text = next(iter(texts.values()), self._text(())) if alike else self._text(self.axes)
+        alone = {axis: [p for p in self.parts if p.axes == (axis,)] for axis in self.axes}
+        texts = {_text(own) for own in alone.values()}
+        # What does not code one axis alone is shown once, with the first of them.
+        others = self.axes[1:] if len(texts) <= 1 else ()
+        text = _text([p for p in self.parts if p.axes not in [(axis,) for axis in others]])
         return f"{text}+{self.unwrap}" if self.unwrap in _WAYS else text
 
     # What the parts are.
@@ -413,11 +415,11 @@ class PatternSequence(Value):
             raise InputError(f'patterns "{text}"', expected, "spaces between them")
         return cls(panel, tuple(parts), cast(Unwrap, last) if forced else "auto")
 
-    def _text(self, axes: Sequence[Axis]) -> str:
-        """Write the flat parts and those along `axes` in the language of :meth:`parse`."""
-        shown = (part for part in self.parts if not part.axes or set(part.axes) & set(axes))
-        runs = groupby(shown, lambda part: type(part))
-        return "+".join(family.write_run(list(run)) for family, run in runs)
+
+def _text(parts: Sequence[Code]) -> str:
+    """Write codes in the language of :meth:`PatternSequence.parse`."""
+    runs = groupby(parts, lambda part: type(part))
+    return "+".join(family.write_run(list(run)) for family, run in runs)
 
 
 @dataclass(frozen=True)

@@ -146,6 +146,18 @@ def test_name_round_trip(sets):
     assert PatternSequence.parse(sequence.name, PANEL) == sequence
 
 
+@pytest.mark.parametrize("axes", ["u", "v", "uv", "vu"])
+@pytest.mark.parametrize(
+    "text",
+    ["1,10@4+m-array16px+50@4", "gray+m-array16px+16@4", "white+1,10+black", "m-array16px"],
+)
+def test_names_of_sets_on_two_axes_are_read_back(text, axes):
+    """What codes both axes, or none, is shown once, with the first axis."""
+    sequence = PatternSequence.parse(text, (640, 480), axes=axes)
+    assert sequence.name == text
+    assert PatternSequence.parse(sequence.name, (640, 480), axes=axes) == sequence
+
+
 @pytest.mark.parametrize(
     ("data", "where"),
     [
