@@ -1,7 +1,8 @@
 """What an experiment of the bench found: tables, figures, and a verdict per finding.
 
 A *finding* is a statement of the thesis that a simulation can confirm or not.  Its verdict
-comes from a criterion on measured numbers, never from a judgement made beforehand.
+comes from a criterion on measured numbers (:mod:`slbench.thesis.rules`), never from a judgement
+made beforehand.
 """
 
 from __future__ import annotations
@@ -11,12 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from slbench.core.errors import InputError
 from slbench.core.io import OutputFolder, provenance, write_json
 from slbench.core.io.atomic import write_bytes
 from slbench.core.show.display import brief
 from slbench.core.show.document import Cloud, Page, Part, Picture, Table
 
-Verdict = Literal["reproduced", "in part", "not reproduced"]
+#: ``by assumption``: the criterion is met, as it has to be by what the simulation assumes; that
+#: says nothing of the statement.
+Verdict = Literal["reproduced", "in part", "by assumption", "not reproduced"]
 
 
 @dataclass(frozen=True)
@@ -31,7 +35,7 @@ class Finding:
         What the thesis says, with its figure or table.
     criterion : str
         What has to hold here for it to count as reproduced.
-    verdict : {"reproduced", "in part", "not reproduced"}
+    verdict : {"reproduced", "in part", "by assumption", "not reproduced"}
     evidence : str
         The measured numbers that decide, in words.
     thesis, ours : float or None
@@ -41,6 +45,17 @@ class Finding:
     unit : str
     why : str
         Where it is not reproduced, or only in part: the reason.
+    assumes : str
+        What the simulation assumes, where the criterion follows from it.
+    rule : str
+        Name of the rule that judged it (:data:`slbench.thesis.rules.RULES`).
+    numbers : mapping of str to number or list of numbers
+        What it was judged by, in full.
+
+    Raises
+    ------
+    InputError
+        For the verdict "by assumption" without an assumption.
     """
 
     name: str
@@ -53,6 +68,13 @@ class Finding:
     interval: tuple[float, float] | None = None
     unit: str = ""
     why: str = ""
+    assumes: str = ""
+    rule: str = ""
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.verdict == "by assumption" and not self.assumes:
+            raise InputError(f"finding {self.name}", "the assumption that it follows from", "none")
 
     @property
     def ratio(self) -> float | None:
@@ -75,6 +97,9 @@ class Finding:
             "interval": self.interval,
             "unit": self.unit,
             "why": self.why,
+            "assumes": self.assumes,
+            "rule": self.rule,
+            "numbers": dict(self.numbers),
         }
 
 
@@ -143,6 +168,8 @@ class Outcome:
         details = ["## Why each verdict", ""]
         for finding in self.findings:
             why = f" {finding.why}" if finding.why else ""
+            if finding.assumes:
+                why += f" Assumption: {finding.assumes}."
             details.append(
                 f"- **{finding.name}**: {finding.verdict}. Criterion: {finding.criterion}. "
                 f"{finding.evidence}{why}"

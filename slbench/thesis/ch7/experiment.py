@@ -36,10 +36,9 @@ from slbench.thesis import published as thesis
 from slbench.thesis.ch7 import report
 from slbench.thesis.ch7.budget import error_budget, object_truth
 from slbench.thesis.ch7.findings import (
-    blurred_finding,
+    cause_findings,
     heights_finding,
     same_heights_finding,
-    shaken_finding,
     std_findings,
     time_findings,
 )
@@ -138,8 +137,7 @@ def run_ch7(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
         *itertools.chain.from_iterable(std_findings(name, c) for name, c in found.items()),
         heights_finding(found[STEP_BLOCK], budget, seed),
         same_heights_finding(found[STEP_BLOCK], seed),
-        shaken_finding(shaken),
-        blurred_finding(blurred),
+        *cause_findings(shaken, blurred),
         *time_findings(timing, seed),
     )
     truths = {name: view.truth for name, view in views.items()}

@@ -15,9 +15,10 @@ from slbench.thesis import published as thesis
 from slbench.thesis.ch7.budget import Budget, heights_rms_mm
 from slbench.thesis.ch7.results import Blurred, Shaken
 from slbench.thesis.ch7.timing import Timing
-from slbench.thesis.factors import FACTOR_TOLERANCE, factor_verdict, order_verdict
+from slbench.thesis.factors import FACTOR_TOLERANCE
 from slbench.thesis.outcome import Finding
 from slbench.thesis.published import DOUBLING, FINEST, LONG, OBJECTS, OURS, SETS, STD_UM, STEP_BLOCK
+from slbench.thesis.rules import SIZE_TOLERANCE, judged
 
 Array = NDArray[np.float64]
 
@@ -46,44 +47,45 @@ def std_findings(scene: str, found: Comparison) -> list[Finding]:
     short = scene.removeprefix("ch7-")
     theirs = STD_UM[scene]
     limits = [r.std_z_ci95_mm if height else r.std_ci95_mm for r in found.sets]
-    disjoint = all(limits[0][1] < low for low, _ in limits[1:])
+    medians = [1e3 * _std(found, r.name, height) for r in found.sets]
     shown = ", ".join(
         f"{{{r.name}}} {1e3 * low:.2f} to {1e3 * high:.2f} µm"
         for r, (low, high) in zip(found.sets, limits, strict=True)
     )
-    least = found.ranking[0] == OURS
     results = [
-        Finding(
+        judged(
             f"ch7-order-{short}",
             f"{{1,10,50}} has the least standard deviation on the {label}, intervals apart "
             f"({table})",
-            "the 95 % interval of its median lies below both others'",
-            "reproduced" if disjoint else "in part" if least else "not reproduced",
+            "the 95 % interval of its median lies below both others'; in part if its median does",
+            "least-apart",
+            {
+                "ours": medians[0],
+                "ours_high": 1e3 * limits[0][1],
+                "others": min(medians[1:]),
+                "others_low": 1e3 * min(low for low, _ in limits[1:]),
+            },
             f"Intervals: {shown}.",
         )
     ]
     for k, name in enumerate(SETS[1:], 1):
         ratio, wanted = ratio_of(found, name, height=height), theirs[k] / theirs[0]
-        verdict = factor_verdict(ratio, wanted)
-        why = ""
-        if verdict == "in part":
-            why = (
-                f"Detector noise alone follows 1/n, a factor of {FINEST[0] / FINEST[k]:.4g}; a "
-                "part of the thesis's deviation does not depend on n (two-term law, error budget)."
-            )
         results.append(
-            Finding(
+            judged(
                 f"ch7-factor-{short}-{FINEST[k]}",
                 f"... on the {label}: {wanted:.2f} times less than {{{name}}}",
                 f"95 % interval above 1 and the factor within {FACTOR_TOLERANCE} of the thesis's",
-                verdict,
-                f"Medians {1e3 * _std(found, name, height):.2f} µm and "
-                f"{1e3 * _std(found, OURS, height):.2f} µm.",
-                wanted,
-                ratio.value,
-                (ratio.low, ratio.high),
-                "ratio",
-                why,
+                "factor",
+                {"value": ratio.value, "low": ratio.low, "high": ratio.high, "thesis": wanted},
+                f"Medians {medians[k]:.2f} µm and {medians[0]:.2f} µm.",
+                thesis=wanted,
+                ours=ratio.value,
+                interval=(ratio.low, ratio.high),
+                unit="ratio",
+                why=f"Detector noise alone follows 1/n, a factor of {FINEST[0] / FINEST[k]:.4g}; "
+                "the thesis's deviations follow it less. Two causes explain that as well as each "
+                "other: a vibration, which does not depend on n, and a loss of modulation of fine "
+                "fringes.",
             )
         )
     return results
@@ -107,18 +109,26 @@ def heights_finding(found: Comparison, budget: Budget, seed: int) -> Finding:
         f"alone gives {1e3 * bent.heights_mm[0]:.0f} µm and {1e3 * bent.heights_mm[1]:.0f} µm; "
         f"the thesis's errors are {1e3 * wanted[0]:.0f} µm and {1e3 * wanted[1]:.0f} µm."
     )
-    return Finding(
+    rms = [heights_rms_mm(ours), heights_rms_mm(theirs)]
+    return judged(
         "ch7-heights",
         "Step heights are closer to the certified ones with {1,10,50} than with {1,2,4} (table 7)",
-        "ratio of the RMS errors of the mean heights: 95 % interval (over repeats) below 1",
-        order_verdict(ratio, less=True),
-        f"RMS errors {1e3 * heights_rms_mm(ours):.2f} µm and "
-        f"{1e3 * heights_rms_mm(theirs):.2f} µm.",
-        wanted[0] / wanted[1],
-        ratio.value,
-        (ratio.low, ratio.high),
-        "ratio",
-        why,
+        "ratio of the RMS errors of the mean heights: 95 % interval (over repeats) below 1, and "
+        f"both errors within a factor {SIZE_TOLERANCE:g} of the thesis's; in part if only the "
+        "order is",
+        "order-and-sizes",
+        {
+            "value": ratio.value,
+            "low": ratio.low,
+            "high": ratio.high,
+            "sizes": [float(mm / other) for mm, other in zip(rms, wanted, strict=True)],
+        },
+        f"RMS errors {1e3 * rms[0]:.2f} µm and {1e3 * rms[1]:.2f} µm.",
+        thesis=wanted[0] / wanted[1],
+        ours=ratio.value,
+        interval=(ratio.low, ratio.high),
+        unit="ratio",
+        why=why,
     )
 
 
@@ -136,60 +146,57 @@ def same_heights_finding(found: Comparison, seed: int) -> Finding:
     wanted = float(
         _rms(np.subtract(thesis.BLOCK_20_MEASURED_MM[OURS], thesis.BLOCK_20_MEASURED_MM[LONG]))
     )
-    nearer = order_verdict(ratio, less=True)
-    return Finding(
+    return judged(
         "ch7-same-heights",
         "... and similar to those of {1,2,4,8,16}, in half the unwrapping steps (table 7)",
         "RMS difference of the mean heights no larger than the thesis's, and smaller than that to "
         "{1,2,4}: 95 % interval (over repeats) of their ratio below 1; in part if only the ratio "
         "itself is",
-        nearer if ours <= wanted else "not reproduced",
+        "nearer",
+        {
+            "value": ratio.value,
+            "low": ratio.low,
+            "high": ratio.high,
+            "difference_um": float(1e3 * ours),
+            "thesis_um": 1e3 * wanted,
+        },
         f"RMS difference {1e3 * ours:.2f} µm, to {{1,2,4}} {1e3 * other:.2f} µm: ratio "
         f"{ratio.value:.4f} ({ratio.low:.4f} to {ratio.high:.4f}); 2 unwrapping steps instead of "
         "4.",
-        1e3 * wanted,
-        float(1e3 * ours),
-        None,
-        "µm",
+        thesis=1e3 * wanted,
+        ours=float(1e3 * ours),
+        unit="µm",
     )
 
 
-def shaken_finding(shaken: Shaken) -> Finding:
-    """Judge whether one vibration, fitted to one factor, predicts the other seven."""
-    return cause_finding(
-        "ch7-factors-with-vibration",
-        f"With a vibration of {shaken.full_size_px:.3f} px",
-        shaken.found,
-        f"That vibration is {shaken.moved_um:.0f} µm on the object, and stands for whatever moves "
-        "picture or pattern from frame to frame.",
+def cause_findings(shaken: Shaken, blurred: Blurred) -> tuple[Finding, Finding]:
+    """Judge two rival causes, each fitted to one factor, by the other seven that they predict."""
+    vibration = f"a vibration of {shaken.full_size_px:.3f} px", shaken.found
+    blur = f"a projector that blurs by {blurred.blur_px:.2f} px", blurred.found
+    return (
+        cause_finding(
+            "ch7-factors-with-vibration",
+            vibration,
+            blur,
+            f"That vibration is {shaken.moved_um:.0f} µm on the object, and stands for whatever "
+            "moves picture or pattern from frame to frame.",
+        ),
+        cause_finding(
+            "ch7-factors-with-blur",
+            blur,
+            vibration,
+            "That blur stands for whatever takes modulation of fine fringes: focus (a projector "
+            "focused nearer than its object), lens, response in space.",
+        ),
     )
 
 
-def blurred_finding(blurred: Blurred) -> Finding:
-    """Judge whether one loss of modulation, fitted to one factor, predicts the other seven."""
-    return cause_finding(
-        "ch7-factors-with-blur",
-        f"With a projector that blurs by {blurred.blur_px:.2f} px",
-        blurred.found,
-        "That blur stands for whatever takes modulation of fine fringes: focus, lens, response in "
-        "space.",
-    )
+#: A cause in words, and the comparisons with it by scene.
+Cause = tuple[str, Mapping[str, Comparison]]
 
 
-def cause_finding(name: str, what: str, found: Mapping[str, Comparison], stands: str) -> Finding:
-    """Judge what one cause, fitted to the step block's factor 4.17, says of all other factors.
-
-    A cause that passes is consistent with the tables.  So may be its rivals.
-
-    Parameters
-    ----------
-    name, what : str
-        Of the finding; the cause and its fitted size.
-    found : mapping of str to Comparison
-        By scene.
-    stands : str
-        What the cause stands for.
-    """
+def predicted(found: Mapping[str, Comparison]) -> dict[str, float]:
+    """Return the factors over the thesis's, but for the step block's 4.17 that causes fit."""
     off = {}
     for scene, comparison in found.items():
         theirs = STD_UM[scene]
@@ -198,22 +205,48 @@ def cause_finding(name: str, what: str, found: Mapping[str, Comparison], stands:
                 continue
             ratio = ratio_of(comparison, other, height=scene == STEP_BLOCK).value
             off[f"{OBJECTS[scene]}, {{{other}}}"] = ratio / (theirs[k] / theirs[0])
-    met = [1.0 / FACTOR_TOLERANCE <= q <= FACTOR_TOLERANCE for q in off.values()]
+    return off
+
+
+def cause_finding(name: str, cause: Cause, rival: Cause, stands: str) -> Finding:
+    """Judge what one cause, fitted to the step block's factor 4.17, says of all other factors.
+
+    A cause that passes is consistent with the tables.  So may be its rival, whose factors stand
+    beside: a cause is "in part" as long as another predicts as much.
+
+    Parameters
+    ----------
+    name : str
+        Of the finding.
+    cause, rival : (str, mapping)
+        What it is, with its fitted size; comparisons by scene.
+    stands : str
+        What the cause stands for.
+    """
+    off, other = predicted(cause[1]), predicted(rival[1])
+    met, rival_met = ({key for key, q in each.items() if _met(q)} for each in (off, other))
     worst = max(off, key=lambda key: abs(np.log(off[key])))
-    half = 2 * sum(met) > len(met)
-    return Finding(
+    alone = sorted(rival_met - met)
+    also = f", among them {' and '.join(alone)}, which this one misses" if alone else ""
+    return judged(
         name,
-        f"{what}, fitted to the step block's factor 4.17, all other factors of tables 8 and 9",
-        f"each of the {len(met)} within a factor {FACTOR_TOLERANCE} of the thesis's",
-        "reproduced" if all(met) else "in part" if half else "not reproduced",
-        f"{sum(met)} of {len(met)} are; the worst is {worst}: {off[worst]:.2f} times the thesis's.",
-        1.0,
-        off[worst],
-        None,
-        "ours / thesis",
-        f"{stands} The factors are consistent with it as far as that; what it was cannot be told "
-        "from tables, and the rival cause stands beside it.",
+        f"With {cause[0]}, fitted to the step block's factor 4.17, all other factors of tables 8 "
+        "and 9",
+        f"each of the {len(off)} within a factor {FACTOR_TOLERANCE} of the thesis's, and more of "
+        "them than by the rival cause; in part if more than half are",
+        "cause",
+        {"met": len(met), "rival_met": len(rival_met), "of": len(off)},
+        f"{len(met)} of {len(off)} are; the worst is {worst}: {off[worst]:.2f} times the thesis's.",
+        thesis=1.0,
+        ours=off[worst],
+        unit="ours / thesis",
+        why=f"{stands} The rival, {rival[0]}, predicts {len(rival_met)} of {len(other)}{also}. "
+        "The tables do not tell which it was.",
     )
+
+
+def _met(quotient: float) -> bool:
+    return 1.0 / FACTOR_TOLERANCE <= quotient <= FACTOR_TOLERANCE
 
 
 def time_findings(timing: Timing, seed: int) -> list[Finding]:
@@ -221,39 +254,35 @@ def time_findings(timing: Timing, seed: int) -> list[Finding]:
     line = timing.line()
     total = timing.ratio(LONG, OURS, seed)
     decode = timing.ratio(LONG, OURS, seed, total=False)
-    rises = line.per_step_s > 0
-    # Proportional: nothing is left at no step, or not more than a step takes.
-    left = line.start_s / line.per_step_s if rises else float("inf")
+    left = line.start_s / line.per_step_s if line.per_step_s > 0 else None
     return [
-        Finding(
+        judged(
             "ch7-time-grows",
             "Computation time is proportional to the number of unwrapping steps (7.2.2)",
             "the straight line through the decoding times rises, and at no step leaves the time of "
             "one step at most (in part: it rises)",
-            "reproduced"
-            if rises and abs(left) <= 1.0
-            else "in part"
-            if rises
-            else "not reproduced",
+            "proportional",
+            {"per_step_s": line.per_step_s, "start_s": line.start_s},
             f"{1e3 * line.per_step_s:.2f} ms a step, {1e3 * line.start_s:.2f} ms at none, "
             f"R² {line.r_squared:.3f}.",
-            0.0,
-            left if rises else None,
-            None,
-            "steps' time at no step",
-            "There is one set more than steps, and work that is the same for all.",
+            thesis=0.0,
+            ours=left,
+            unit="steps' time at no step",
+            why="There is one set more than steps, and work that is the same for all.",
         ),
-        Finding(
+        judged(
             "ch7-time-doubles",
             "{1,2,4,8,16} doubles the computation time of {1,10,50} (7.2.2)",
             f"95 % interval above 1 and the ratio within a factor {FACTOR_TOLERANCE} of 2",
-            factor_verdict(total, 2.0),
+            "factor",
+            {"value": total.value, "low": total.low, "high": total.high, "thesis": 2.0},
             f"Decoding alone: {decode.value:.2f} ({decode.low:.2f} to {decode.high:.2f}).",
-            2.0,
-            total.value,
-            (total.low, total.high),
-            "ratio",
-            "Fringe sets are one more than steps: 5 to 3, not 4 to 2; triangulation is done once.",
+            thesis=2.0,
+            ours=total.value,
+            interval=(total.low, total.high),
+            unit="ratio",
+            why="Fringe sets are one more than steps: 5 to 3, not 4 to 2; triangulation is done "
+            "once.",
         ),
     ]
 

@@ -201,7 +201,8 @@ def run_ch8(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
         pictures[name] = pages.object_picture(results[-1])
         clouds.append(pages.object_cloud(results[-1], seed))
         shares.append((FULL.view_divisors[name] / size.view_divisors[name]) ** 2)
-    findings += [judge.object_finding(*pair) for pair in zip(results, shares, strict=True)]
+    for pair in zip(results, shares, strict=True):
+        findings += judge.object_findings(*pair)
     findings.append(judge.registration_finding(results))
     tables.append(pages.objects_table(results))
     seconds["objects"] = time.perf_counter() - start
