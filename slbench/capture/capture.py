@@ -55,6 +55,7 @@ from slbench.patterns import (
 from slbench.patterns.crosstalk import amplified, unmixed
 from slbench.rig import ALONE, Camera, Pair, Rig
 from slbench.rig.opencv import read_rig, write_rig
+from slbench.rig.parameters import ParameterCovariance, covariance_beside
 
 MANIFEST = "capture.toml"
 #: What a capture has at the top of its folder: modules may have added its codes.
@@ -106,6 +107,8 @@ class Capture(Value):
         Least modulation of a pixel that is measured; None is the decoder's own limit.
     pair : Pair
         Names of the camera that saw the frames and of the projector that showed the patterns.
+    rig_covariance : ParameterCovariance or None
+        What is known of the rig's parameters, for the uncertainty of points.
     """
 
     frames: NDArray[Any]
@@ -117,6 +120,7 @@ class Capture(Value):
     saturation_dn: GreyLevel | None = None
     min_modulation_dn: Grey | None = None
     pair: Pair = ALONE
+    rig_covariance: ParameterCovariance | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -272,7 +276,7 @@ class Capture(Value):
         if self.noise is not None:
             manifest["noise"] = asdict(self.noise)
         if self.rig is not None:
-            write_rig(root / "rig.yaml", self.rig)
+            write_rig(root / "rig.yaml", self.rig, self.rig_covariance)
             manifest["rig"] = "rig.yaml"
         write_toml(root / MANIFEST, manifest)
 
@@ -327,9 +331,10 @@ class Capture(Value):
             if bit_depth is None and frames.dtype.kind != "f":
                 bit_depth = 16 - shift if shift else 8 * frames.dtype.itemsize
             pair = Pair(table.camera, table.projector)
-            rig = None
+            rig = covariance = None
             if table.rig is not None:
-                rig = read_rig(allowed(path.parent, table.rig, allow_outside), pair).pair(pair)
+                place = allowed(path.parent, table.rig, allow_outside)
+                rig, covariance = read_rig(place, pair).pair(pair), covariance_beside(place)
             noise = table.noise
             capture = cls(
                 frames,
@@ -343,6 +348,7 @@ class Capture(Value):
                 and min(-(-table.saturation_dn >> shift), 2 ** (16 - shift) - 1),
                 table.min_modulation_dn and table.min_modulation_dn / 2**shift,
                 pair,
+                covariance,
             )
         if frames.dtype.kind == "f":
             _question_scale(path, capture)

@@ -18,6 +18,7 @@ from slbench.capture.capture import Capture
 from slbench.capture.doubts import exposure_doubt
 from slbench.capture.manifest import manifest_doubts
 from slbench.capture.noise import NoiseKind, noise_of
+from slbench.cloud.calibrated import with_calibration
 from slbench.cloud.gaps import RayGap, lost_points, ray_gap, rig_doubts
 from slbench.cloud.triangulation import Meeting, PointCloud, triangulate
 from slbench.core.errors import warn_user
@@ -287,6 +288,8 @@ def decode_capture(
     if capture.rig is not None:
         cloud = triangulate(capture.rig, phase, meeting)
         cloud = cloud.with_steady(ripple_rms_px(ripple))
+        if capture.rig_covariance is not None:
+            cloud = with_calibration(cloud, capture.rig, phase, capture.rig_covariance, meeting)
         gap = ray_gap(capture.rig, phase, cloud)
         lost = lost_points(capture.rig, phase, cloud)
         doubts += rig_doubts(phase, lost, gap)

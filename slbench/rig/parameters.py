@@ -49,6 +49,7 @@ DEVICE_PARAMETERS = (*_LENS, *_DISTORTION, *_TURN, *_SHIFT)
 RIG_PARAMETERS = tuple(f"{role}.{name}" for role in ROLES for name in DEVICE_PARAMETERS)
 
 _KIND = "slbench covariance"
+_BESIDE = "covariance_names (a text) and covariance (a matrix) beside the rig"
 #: Negative eigenvalues and differences across the diagonal that rounding leaves, as shares of the
 #: largest variance after each parameter is scaled with its own deviation.
 _ROUNDING = 1e-8
@@ -118,12 +119,10 @@ def read_covariance(path: str | Path) -> ParameterCovariance:
         Naming the file and what is missing, not known or no covariance.
     """
     if Path(path).suffix.lower() in (".yaml", ".yml"):
-        values = read_opencv_yaml(path)
-        names, matrix = values.get("covariance_names"), values.get("covariance")
-        if not isinstance(names, str) or not isinstance(matrix, np.ndarray):
-            expected = "covariance_names (a text) and covariance (a matrix) beside the rig"
-            raise InputError(path, expected, "none")
-        return _checked(path, names.split(), matrix)
+        beside = covariance_beside(path)
+        if beside is None:
+            raise InputError(path, _BESIDE, "none")
+        return beside
     values = read_json(path)
     if not isinstance(values, dict) or values.get("kind") != _KIND:
         found = "other JSON" if not isinstance(values, dict) else repr(values.get("kind"))
@@ -132,6 +131,24 @@ def read_covariance(path: str | Path) -> ParameterCovariance:
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise InputError(f"{path}: names", "a list of texts", repr(names)[:60])
     return _checked(path, names, values.get("covariance"))
+
+
+def covariance_beside(path: str | Path) -> ParameterCovariance | None:
+    """Read what stands beside a rig in YAML; None where nothing does.
+
+    Raises
+    ------
+    InputError
+        Naming the file and what is not known or no covariance.
+    """
+    values = read_opencv_yaml(path)
+    names, matrix = values.get("covariance_names"), values.get("covariance")
+    if names is None and matrix is None:
+        return None
+    if not isinstance(names, str) or not isinstance(matrix, np.ndarray):
+        alone = names is None or matrix is None
+        raise InputError(path, _BESIDE, "one of them" if alone else "other types")
+    return _checked(path, names.split(), matrix)
 
 
 def _checked(path: str | Path, names: Sequence[str], matrix: Any) -> ParameterCovariance:

@@ -362,7 +362,8 @@ def scan(
             warn_user(f"scene {scene.name}: calibration", doubt)
         cloud = made.cloud.with_steady(ripple_rms_px(ripple))
         if made.rig is not scene.rig:  # what an operator has beside the frames
-            measured = replace(view.capture, rig=made.rig)
+            known = scene.calibration.covariance if scene.calibration else None
+            measured = replace(view.capture, rig=made.rig, rig_covariance=known)
             views[only] = replace(view, fused=replace(view.fused, capture=measured))
     run = Run(seed=seed, noise=noise, variant=current().variant, seconds=seconds)
     used = replace(scene, samples=view.transport.samples, sequence=view.capture.sequence)

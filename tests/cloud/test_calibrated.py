@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from scenes_small import small, truth_of
 
+from slbench.capture.capture import Capture
 from slbench.cloud.calibrated import with_calibration
+from slbench.cloud.decoded import decode_capture
 from slbench.cloud.triangulation import triangulate
+from slbench.core.errors import InputError
 from slbench.patterns import PhaseMap
 from slbench.rig.parameters import ParameterCovariance, moved
 from slbench.scene.calibration import Calibration
@@ -92,3 +95,23 @@ def test_errors_of_scans_with_drawn_calibrations_are_covered():
     assert two == pytest.approx(0.954, abs=0.05)
     assert three > 0.98
     assert np.mean(blind) < one - 0.1
+
+
+def test_a_capture_carries_what_is_known_of_its_rig(tmp_path):
+    """Written beside the rig, read back, and in the points of whoever decodes the frames."""
+    covariance = ParameterCovariance.of(DEVIATIONS)
+    scene = replace(small("plane"), calibration=Calibration(covariance=covariance, seed=3))
+    result = scan(scene, seed=1, score=False)
+    result.capture.save(tmp_path / "shots")
+    read = Capture.load(tmp_path / "shots")
+    assert read.rig_covariance.names == covariance.names
+    np.testing.assert_allclose(read.rig_covariance.matrix, covariance.matrix, rtol=1e-12)
+    found = decode_capture(read).cloud
+    np.testing.assert_allclose(found.u_mm, result.cloud.u_mm, rtol=1e-6)
+    without = decode_capture(replace(read, rig_covariance=None)).cloud
+    assert np.median(found.u_total_mm) > 1.2 * np.median(without.u_total_mm)
+
+    rig = (tmp_path / "shots" / "rig.yaml").read_text()
+    (tmp_path / "shots" / "rig.yaml").write_text(rig.replace("covariance_names", "names"))
+    with pytest.raises(InputError, match=r"covariance_names \(a text\) and covariance"):
+        Capture.load(tmp_path / "shots")
