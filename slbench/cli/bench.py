@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 
 #: Chapters, in order; each is a folder of :mod:`slbench.thesis`.
-CHAPTERS = ("ch6", "ch7", "ch8")
+CHAPTERS = ("ch3", "ch6", "ch7", "ch8")
 
 
 @command("slbench bench ch7 --preview --out out/bench --report out/bench/ch7.html")
 def bench(
     chapter: Annotated[
-        Literal["ch6", "ch7", "ch8", "all"],
-        typer.Argument(help="Rig (ch6), patterns (ch7), microscope (ch8), or all."),
+        Literal["ch3", "ch6", "ch7", "ch8", "all"],
+        typer.Argument(help="Optimiser (ch3), rig (ch6), patterns (ch7), micro-scale (ch8), all."),
     ],
     out: Annotated[
         Path, typer.Option(help="Folder to write to; each chapter gets one of its own in it.")
@@ -41,12 +41,20 @@ def bench(
             "--preview", help="Few pixels, samples and repeats: a minute or two a chapter, not 20."
         ),
     ] = False,
+    again: Annotated[
+        bool,
+        typer.Option("--again", help="Judge the outcome stored in --out again, without rendering."),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Re-run published experiments; judge their findings."""
     from slbench.thesis.outcome import joint_page, outcome_folder, write_outcome
 
     chosen = CHAPTERS if chapter == "all" else (chapter,)
+    if again:
+        others = {"--preview": preview, "--report": report, "--seed": seed}
+        _judge_again(chosen, out, others, as_json)
+        return
     for name in chosen:
         outcome_folder(name).check(out / name, "--out")
     if report is not None:
@@ -77,6 +85,36 @@ def bench(
         print(f"Written to {out / outcome.chapter}")
     if report is not None:
         print(f"Written to {report}")
+
+
+def _judge_again(
+    chosen: Sequence[str], out: Path, others: Mapping[str, object], as_json: bool
+) -> None:
+    """Judge stored outcomes again and print what changed."""
+    from slbench.core.errors import InputError
+    from slbench.thesis.stored import judge_again, read_outcome, rewrite
+
+    for name, value in others.items():
+        if value:
+            raise InputError("--again", "no other option than --out", f"{name} {value}")
+    before = [read_outcome(out / name, name) for name in chosen]
+    after = [judge_again(outcome) for outcome in before]
+    changed = {}
+    for old, new in zip(before, after, strict=True):
+        rewrite(new, out / new.chapter)
+        for was, now in zip(old.findings, new.findings, strict=True):
+            if was.verdict != now.verdict:
+                changed[now.name] = {"before": was.verdict, "after": now.verdict}
+    if as_json:
+        chapters = {outcome.chapter: outcome.to_dict() for outcome in after}
+        print_json({"chapters": chapters, "changed": changed, "out": str(out)})
+        return
+    for outcome in after:
+        print_table(_findings(outcome))
+        print(f"Written to {out / outcome.chapter}")
+    for name, verdicts in changed.items():
+        print(f"{name}: {verdicts['before']} -> {verdicts['after']}")
+    print(f"{len(changed)} verdicts changed")
 
 
 def runner(chapter: str) -> Callable[..., Outcome]:

@@ -110,7 +110,7 @@ class Outcome:
     Parameters
     ----------
     chapter : str
-        ``"ch6"``, ``"ch7"`` or ``"ch8"``; names the files.
+        ``"ch3"``, ``"ch6"``, ``"ch7"`` or ``"ch8"``; names the files.
     title : str
     findings : tuple of Finding
     tables : tuple of Table

@@ -26,6 +26,8 @@ SIZE_TOLERANCE = 2.0
 GROWN = 1.2
 #: What fusion must take of the noise of as many frames at one focus, at the worst height.
 GAINED = 0.9
+#: Rank correlation from which an order counts as the thesis's.
+RANKED = 0.8
 #: Share of the draws of the stage's errors in which a statement has to hold.
 SHARE = 0.95
 #: Median of \|error\| over smooth surface, um: the thesis's own accuracy (table 13).
@@ -163,6 +165,22 @@ def registered(left: Sequence[float]) -> Verdict:
     return _count(*(share < LEFT for share in left))
 
 
+def front(kept: int, chance: float, of: int) -> Verdict:
+    """Judge a Pareto set: how many are not beaten, and how many of random rigs are not."""
+    return _two(kept > chance, kept == of)
+
+
+def more_often(share: float, low: float) -> Verdict:
+    """Judge whether one side wins more than half of the pairs."""
+    return _two(share > 0.5, low > 0.5)
+
+
+def ranked(correlation: float, low: float, size: float) -> Verdict:
+    """Judge predicted errors: their ranks, and their size over the thesis's."""
+    ranks = correlation > RANKED and low > 0.5
+    return _two(ranks, 1.0 / SIZE_TOLERANCE <= size <= SIZE_TOLERANCE)
+
+
 def _two(weak: bool, strong: bool) -> Verdict:
     """Return what holds: the weaker statement is a condition of the stronger one."""
     if not weak:
@@ -198,6 +216,9 @@ RULES: Mapping[str, Callable[..., Verdict]] = {
         ends_larger,
         accurate,
         registered,
+        front,
+        more_often,
+        ranked,
     )
 }
 

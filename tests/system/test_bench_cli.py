@@ -1,6 +1,8 @@
 """``slbench bench``: what it writes and refuses; the chapters have tests of their own."""
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from slbench.core.errors import InputError
 from slbench.core.show.document import Cloud, Table
 from slbench.thesis.outcome import Finding, Outcome
 from slbench.thesis.pictures import draw_cloud, new_figure, picture
+
+RESULTS = Path(__file__).parents[2] / "results" / "bench"
 
 
 def outcome_of(chapter, seed, preview):
@@ -69,15 +73,15 @@ def test_all_chapters_and_one_report(chapters, tmp_path):
     page = tmp_path / "page.html"
     done = run_cli("bench", "all", "--out", tmp_path / "r", "--report", page, "--json")
     assert done.status == 0, done.err
-    assert [name for name, *_ in chapters] == ["ch6", "ch7", "ch8"]
+    assert [name for name, *_ in chapters] == ["ch3", "ch6", "ch7", "ch8"]
     results = json.loads(done.out)["chapters"]
     assert results["ch7"]["findings"][0]["ratio"] == pytest.approx(1.05)
-    assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["ch6", "ch7", "ch8"]
+    assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["ch3", "ch6", "ch7", "ch8"]
     html = page.read_text()
-    assert html.count("A beats B") >= 3
+    assert html.count("A beats B") >= 4
 
 
-@pytest.mark.parametrize("name", ["ch6", "ch7"])
+@pytest.mark.parametrize("name", ["ch3", "ch6", "ch7", "ch8"])
 def test_every_chapter_has_its_function(name):
     assert callable(bench.runner(name))
 
@@ -102,3 +106,31 @@ def test_nothing_is_left_of_a_chapter_that_fails(monkeypatch, tmp_path):
     monkeypatch.setattr(bench, "runner", runner)
     check_refused(run_cli("bench", "ch7", "--out", tmp_path / "r"), "scene")
     assert not (tmp_path / "r").exists()
+
+
+def test_a_stored_outcome_is_judged_again(tmp_path):
+    folder = tmp_path / "ch6"
+    shutil.copytree(RESULTS / "ch6", folder)
+    path = folder / "ch6.json"
+    picture = (folder / "fig12-plane.png").read_bytes()
+    stored = json.loads(path.read_text())
+    (finding,) = (f for f in stored["findings"] if f["name"] == "ch6-step-heights")
+    assert finding["verdict"] == "in part"
+    finding["verdict"] = "reproduced"
+    path.write_text(json.dumps(stored))
+    done = run_cli("bench", "ch6", "--again", "--out", tmp_path)
+    assert done.status == 0, done.err
+    assert "ch6-step-heights: reproduced -> in part" in done.out
+    assert path.read_text() == (RESULTS / "ch6" / "ch6.json").read_text()
+    assert (folder / "fig12-plane.png").read_bytes() == picture
+    done = run_cli("bench", "ch6", "--again", "--out", tmp_path, "--json")
+    assert json.loads(done.out)["changed"] == {}
+    # What cannot be judged is refused, and stays as it was.
+    check_refused(run_cli("bench", "ch6", "--again", "--preview", "--out", tmp_path), "--preview")
+    check_refused(run_cli("bench", "ch7", "--again", "--out", tmp_path), "ch7.json")
+    finding["rule"] = ""
+    path.write_text(json.dumps(stored))
+    check_refused(run_cli("bench", "ch6", "--again", "--out", tmp_path), "run the chapter again")
+    assert json.loads(path.read_text()) == stored
+    path.write_text(json.dumps({"chapter": "ch6"}))
+    check_refused(run_cli("bench", "ch6", "--again", "--out", tmp_path), "slbench bench")

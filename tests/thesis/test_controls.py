@@ -118,6 +118,10 @@ def one_view(name):
 
 
 CONTROLS = {
+    "ch3-optimal": (lambda n: n | {"kept": n["chance"]},),
+    "ch3-less-error": (lambda n: {"share": 0.5, "low": n["low"] - n["share"] + 0.5},),
+    "ch3-error-ratio": (level, swapped),
+    "ch3-table-5": (lambda n: n | {"correlation": 0.0, "low": n["low"] - n["correlation"]},),
     "ch6-plane-ratio": (swapped, level),
     "ch6-step-heights": (worse_on_both, as_large_as_the_thesis, swapped),
     **{f"ch6-{name}": (not_unwrapped,) for name in ("brick", "propeller", "gear")},
@@ -161,6 +165,8 @@ GOOD = {
     "sequence": {"thesis": [1, 4], "measured": [1, 4], "raised": [1, 4]},
     "mostly": {"shares": [0.9, 0.8, 0.6]},
     "worst-axis": {"exact": 0.9, "all_axes": 0.8, "moved_axes": 0.9},
+    "front": {"kept": 18, "chance": 2.0, "of": 18},
+    "ranked": {"correlation": 0.996, "low": 0.98, "size": 0.88},
     "ends-larger": {"share": 0.96, "ends": 2.0, "middle": 1.0},
 }
 ASSUMED = {"assumed-share", "assumed-least"}

@@ -1,0 +1,1 @@
+"""Chapter 3: the rig optimiser by the configurations that it chose."""
