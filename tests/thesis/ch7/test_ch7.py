@@ -14,6 +14,7 @@ from slbench.thesis import published as thesis
 from slbench.thesis.ch7 import experiment as ch7
 from slbench.thesis.ch7 import findings as ch7_findings
 from slbench.thesis.ch7.budget import Budget, Row, heights_rms_mm, object_truth
+from slbench.thesis.ch7.results import Blurred, Shaken
 from slbench.thesis.ch7.timing import Timing, time_sets
 from slbench.thesis.outcome import Finding, Outcome, write_outcome
 from slbench.thesis.published import FINEST, SETS
@@ -53,6 +54,20 @@ def with_std(comparison, factors):
     return replace(comparison, sets=sets)
 
 
+def scaled(comparison, factors):
+    """Return a comparison with the ratios of deviations to the first set's multiplied."""
+    pairs = tuple(
+        replace(
+            pair,
+            ratio=pair.ratio * factors[j] / factors[k],
+            ratio_ci95=tuple(x * factors[j] / factors[k] for x in pair.ratio_ci95),
+        )
+        for pair in comparison.pairs
+        for j, k in [(SETS.index(pair.a), SETS.index(pair.b))]
+    )
+    return replace(with_std(comparison, factors), pairs=pairs)
+
+
 class TestFindingsHold:
     @pytest.mark.parametrize("name", ["ch7-step-block", "ch7-gear"])
     def test_more_fringes_repeat_better(self, name):
@@ -75,6 +90,30 @@ class TestFindingsHold:
         finding = ch7_findings.cause_finding("x", *causes, "Nothing.")
         assert finding.verdict == "not reproduced"
         assert "The rival, nothing else, predicts" in finding.why
+
+    def test_rival_causes_are_judged_side_by_side(self):
+        bare = {name: found(name) for name in ("ch7-step-block", "ch7-gear")}
+        # The thesis's own factors, as a cause that explains all would have them.
+        told = {}
+        for name, comparison in bare.items():
+            height = name == "ch7-step-block"
+            now = [
+                ch7_findings.ratio_of(comparison, other, height=height).value for other in SETS[1:]
+            ]
+            theirs = [s / thesis.STD_UM[name][0] for s in thesis.STD_UM[name][1:]]
+            told[name] = scaled(
+                comparison, [1.0, *(t / n for t, n in zip(theirs, now, strict=True))]
+            )
+        detector = small("ch7-step-block").rig.camera
+        shaken, blurred = Shaken(0.0175, 4, 16.0, detector, told), Blurred(1.77, bare)
+        vibration, blur = ch7_findings.cause_findings(shaken, blurred)
+        assert (vibration.verdict, blur.verdict) == ("reproduced", "not reproduced")
+        assert "0.070 px" in vibration.statement
+        assert "blurs by 1.77 px, predicts 0 of 3" in vibration.why
+        assert "which this one misses" in blur.why
+        # Where both explain all, neither is the cause.
+        both = ch7_findings.cause_findings(shaken, replace(blurred, found=told))
+        assert [f.verdict for f in both] == ["in part", "in part"]
 
     def test_heights_are_closer(self):
         finding = ch7_findings.heights_finding(found(), gamma_row((0.008, 0.15, 0.009)), 0)
