@@ -43,8 +43,9 @@ def _plane(rig, z, half, stride, coded_axes):
     point, pixels = point[keep], pixels[keep]
     target = panel[np.arange(len(keep)), winner][keep]
     origin, direction = camera.unproject(pixels)
-    if coded_axes == 1:
-        found = _column(projector, point, direction, target[:, 0])
+    if coded_axes in ("u", "v"):
+        axis = "uv".index(coded_axes)
+        found = _column(projector, point, direction, target[:, axis], axis)
     else:
         found = _midpoint(origin, direction, *projector.unproject(target))
     return np.linalg.norm(found - point, axis=-1), point
@@ -58,13 +59,13 @@ def _meet(device, pixels, z):
         return origin + np.where(t > 0, t, np.nan)[..., None] * direction
 
 
-def _column(projector, point, direction, column):
-    """Newton along the ray until the panel column is met."""
+def _column(projector, point, direction, column, axis):
+    """Newton along the ray until the panel column (or row) is met."""
     found = point.copy()
     for _ in range(30):
         pixel, jacobian = projector.project_with_jacobian(found)
-        slope = np.einsum("ni,ni->n", jacobian[:, 0], direction)
-        found += ((column - pixel[:, 0]) / slope)[:, None] * direction
+        slope = np.einsum("ni,ni->n", jacobian[:, axis], direction)
+        found += ((column - pixel[:, axis]) / slope)[:, None] * direction
     return found
 
 

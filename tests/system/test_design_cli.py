@@ -97,7 +97,7 @@ def test_evaluate_json():
     direct = evaluate(MACRO, read_configurations(TABLE_4))
     assert len(rows) == 18
     for k, row in enumerate(rows):
-        assert set(row) == {*METRICS, "feasible", "margins"}
+        assert set(row) == {*METRICS, "feasible", "margins", "axes"}
         assert list(row["margins"]) == ["g1", "g2", "g3", "g4", "g5", "g6"]
         for name in METRICS:  # JSON keeps every digit
             assert row[name] == getattr(direct, name)[k]

@@ -27,7 +27,11 @@ def evaluate(
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
-    """Predict error, coverage and constraints of rig configurations."""
+    """Predict error, coverage and constraints of rig configurations.
+
+    The error is that of patterns along coded_axes of [design]: columns ("u"), rows ("v"), both
+    ("uv"), or for 1 the better one of each rig (--set design.coded_axes=1).
+    """
     from rich.table import Table
 
     from slbench.design.rig.evaluate import THESIS_STRIDE
@@ -47,7 +51,7 @@ def evaluate(
         print_json(result.rows())
         return
     table = Table(title=f"{len(rows)} configurations")
-    for name in ("", "μ / mm", "σ / mm", "η", "points", "d / mm", "angle / °", "feasible"):
+    for name in ("", "μ / mm", "σ / mm", "η", "points", "d / mm", "angle / °", "coded", "feasible"):
         table.add_column(name, justify="right")
     for i, row in enumerate(result.rows()):
         failed = [name for name, margin in row["margins"].items() if not margin > 0]
@@ -59,6 +63,7 @@ def evaluate(
             str(row["n_points"]),
             f"{row['dispersion_mm']:.2f}",
             f"{row['angle_deg']:.1f}",
+            row["axes"],
             "yes" if row["feasible"] else f"no: {', '.join(failed)}",
         )
     print_table(table)

@@ -63,7 +63,8 @@ def rig(
 ) -> None:
     """Search for the best rigs of given hardware.
 
-    Written are a report of them and the scene of the recommended one, ready to be scanned.
+    The error is that of patterns along coded_axes of [design].  Written are a report of the rigs
+    and the scene of the recommended one, ready to be scanned.
     """
     import numpy as np
 
@@ -150,6 +151,7 @@ def rig(
     print_table(_rigs_table(design, baseline, pick))
     names = ("z_ref", "w", "h", "l", "alpha_P", "beta_P")
     print("rig: " + ", ".join(f"{n} {v:.5g}" for n, v in zip(names, variables, strict=True)))
+    print(f"coded: {best['axes']} of the panel")
     print(f"Written to {out}: scan it with slbench scan {out / 'scene.toml'}")
     if design.front.stopped == "interrupted":
         print(f"--start {out / 'front.npz'} goes on from there")

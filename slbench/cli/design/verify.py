@@ -24,14 +24,20 @@ def verify(
     ] = None,
     count: Annotated[Drawn, typer.Option(help="How many rigs to draw.")] = 24,
     out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("out/verify"),
-    patterns: Annotated[str, typer.Option(help="A pattern set of three shifts.")] = "1,5",
+    patterns: Annotated[
+        str, typer.Option(help="A pattern set of three shifts, along the hardware's coded axes.")
+    ] = "1,5",
     spp: Annotated[Samples, typer.Option(help="Samples a pixel.")] = 16,
     seed: Seed = 0,
     changes: SceneChanges = None,
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
-    """Scan a plate with rigs; compare errors with predicted ones."""
+    """Scan a plate with rigs; compare errors with predicted ones.
+
+    Both are for the panel axes that the hardware codes: coded_axes of its [design] is "u", "v" or
+    "uv", or 1 for the better one of each rig, as for a camera above the projector.
+    """
     import numpy as np
 
     from slbench.core.io import OutputFolder, write_json
@@ -62,6 +68,7 @@ def verify(
     found = {
         "configurations": np.column_stack((rows[:, :4], np.rad2deg(rows[:, 4:]))),
         "rank_correlation": result.rank_correlation,
+        "axes": result.predicted.axes.tolist(),
         "predicted_mm": result.predicted.mu_mm,
         "rendered_mm": result.rendered_mm,
         "rendered_z_mm": result.rendered_z_mm,
@@ -73,6 +80,8 @@ def verify(
     if as_json:
         print_json(found | {"out": str(out)})
         return
-    for k, (mu, rms) in enumerate(zip(result.predicted.mu_mm, result.rendered_mm, strict=True)):
-        print(f"{k + 1:3}  predicted {1e3 * mu:7.1f} µm   rendered {1e3 * rms:7.1f} µm")
+    predicted = result.predicted
+    for k, (mu, rms) in enumerate(zip(predicted.mu_mm, result.rendered_mm, strict=True)):
+        errors = f"predicted {1e3 * mu:7.1f} µm   rendered {1e3 * rms:7.1f} µm"
+        print(f"{k + 1:3}  {errors}   coded {predicted.axes[k]}")
     print(f"rank correlation {result.rank_correlation:.3f}; written to {out}")

@@ -7,9 +7,13 @@ correspondence* with it (3.1.3).  The error of the point ``T`` where the centre 
 plane is ``e = |T' - T|`` with the reconstructed point ``T'`` (3.1.4, eq. 13):
 
 * one coded axis: the centre ray cut with the plane through the projector's nodal point and
-  the panel column's centre (where it meets the column, if the projector's lens distorts);
+  the panel column's centre (where it meets the column, if the projector's lens distorts), or
+  the row's where rows are coded;
 * two: the least-squares point of the rays of both pixels, the middle of their shortest
-  connection.
+  connection: what ``triangulate(..., meeting="nearest")`` does.
+
+Which axis is coded where the hardware states their number only, and whether one that is stated
+can measure at all: :mod:`slbench.design.rig.coded`.
 
 Metrics, over all points in the volume: mean ``mu`` and standard deviation ``sigma`` of e (with
 N - 1), their number ``N_s``, their mean distance ``d`` to the nearest other one, and ``eta``,
@@ -32,10 +36,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
+from slbench.design.rig.coded import CodedMaps, question_axes
 from slbench.design.rig.constraints import CONSTRAINTS, Constraints
 from slbench.design.rig.convex import coverage
 from slbench.design.rig.hardware import Hardware, Placement
-from slbench.design.rig.kernels.maps import Maps
 from slbench.rig import DesignVariables
 
 Array = NDArray[np.float64]
@@ -69,6 +73,8 @@ class Evaluation:
         From the world's origin.
     angle_deg : (n,) float
         Triangulation angle.
+    axes : (n,) str
+        Panel axes that the patterns code: ``"u"``, ``"v"`` or ``"uv"``.
     """
 
     mu_mm: Array
@@ -80,6 +86,7 @@ class Evaluation:
     camera_distance_mm: Array
     projector_distance_mm: Array
     angle_deg: Array
+    axes: NDArray[np.str_]
 
     __repr__ = brief
 
@@ -113,6 +120,7 @@ class Evaluation:
                 "camera_distance_mm": float(self.camera_distance_mm[i]),
                 "projector_distance_mm": float(self.projector_distance_mm[i]),
                 "angle_deg": float(self.angle_deg[i]),
+                "axes": str(self.axes[i]),
             }
             for i in range(len(self))
         ]
@@ -153,9 +161,17 @@ def evaluate(
     ------
     InputError
         If configurations, stride, planes or convention cannot be used.
+
+    Warns
+    -----
+    InputWarning
+        If the axis that the hardware states runs along the epipolar lines of a configuration.
     """
     evaluator = Evaluator(hardware, stride=stride, planes_mm=planes_mm, convention=convention)
-    return evaluator.evaluate(hardware.place(configurations))
+    placement = hardware.place(configurations)
+    result = evaluator.evaluate(placement)
+    evaluator.question(placement, result)
+    return result
 
 
 class Evaluator:
@@ -175,7 +191,7 @@ class Evaluator:
         if convention not in get_args(Convention):
             raise InputError("convention", " or ".join(get_args(Convention)), repr(convention))
         plain = not any(hardware.camera.distortion) and not any(hardware.projector.distortion)
-        if convention == "thesis" and not (plain and hardware.coded_axes == 1):
+        if convention == "thesis" and not (plain and hardware.coded_axes not in (2, "uv")):
             expected = "one coded axis and lenses without distortion, as the thesis's"
             raise InputError("convention thesis", expected, "others")
         planes = _checked_planes(planes_mm, 0.5 * hardware.volume_mm[2])
@@ -183,19 +199,19 @@ class Evaluator:
         if whole.shape != (2,) or whole.dtype.kind not in "iu" or whole.min() < 1:
             raise InputError("stride", "two whole numbers, at least 1", stride)
         strides = (int(whole[0]), int(whole[1]))
-        self._maps = Maps(hardware, planes, strides, edges=convention == "thesis")
+        self._maps = CodedMaps(hardware, planes, strides, edges=convention == "thesis")
         self._size = (hardware.projector.width, hardware.projector.height)
         self._constraints = Constraints(hardware)
 
     def objectives(self, placement: Placement) -> Array:
         """Return :attr:`Evaluation.objectives` alone, without the margins, (n, 3)."""
-        metrics, eta = self._measured(placement)
+        metrics, _, eta = self._measured(placement)
         mu, sigma, count, dispersion = metrics.T
         return _objectives(mu, sigma, count, dispersion, eta)
 
     def evaluate(self, placement: Placement) -> Evaluation:
         """Return metrics and constraints of devices placed."""
-        metrics, eta = self._measured(placement)
+        metrics, axes, eta = self._measured(placement)
         return Evaluation(
             mu_mm=metrics[:, 0],
             sigma_mm=metrics[:, 1],
@@ -206,11 +222,16 @@ class Evaluator:
             camera_distance_mm=placement.camera_distance,
             projector_distance_mm=placement.projector_distance,
             angle_deg=np.rad2deg(placement.angle),
+            axes=axes,
         )
 
-    def _measured(self, placement: Placement) -> tuple[Array, Array]:
-        metrics = self._maps.metrics(placement)
-        return metrics, coverage(self._maps.silhouette(placement), *self._size)
+    def question(self, placement: Placement, evaluation: Evaluation) -> None:
+        """Warn where the other axis would measure far better (:func:`evaluate`)."""
+        question_axes(self._maps, placement, evaluation.mu_mm, stacklevel=4)
+
+    def _measured(self, placement: Placement) -> tuple[Array, NDArray[np.str_], Array]:
+        metrics, axes = self._maps.metrics(placement)
+        return metrics, axes, coverage(self._maps.silhouette(placement), *self._size)
 
 
 def _objectives(

@@ -42,6 +42,8 @@ from slbench.scene.file import read_merged
 from slbench.scene.tables import Optics, ProjectorOptics
 
 Array = NDArray[np.float64]
+#: Panel axes that are coded: named, or how many.
+CodedAxes = Literal[1, 2, "u", "v", "uv"]
 AnyDevice = TypeVar("AnyDevice", bound=Device)
 
 #: Names of the six design variables, as in files.
@@ -104,8 +106,10 @@ class Hardware(Value):
         Ranges of z_ref, w, h, l (mm) and alpha_P, beta_P (rad).
     volume_mm : (float, float, float)
         Measurement volume along the world's axes, centred on the origin.
-    coded_axes : {1, 2}
-        Panel axes that the patterns encode: columns, or columns and rows.
+    coded_axes : {1, 2, "u", "v", "uv"}
+        Panel axes that the patterns encode: columns (u), rows (v) or both (uv, which is 2).  1 is
+        one of them, for each configuration the one of the smaller predicted error: that along
+        the baseline.
     circle_px : float
         Acceptable circle of confusion, pixels of the device's own panel.
     detector : DetectorModel
@@ -122,7 +126,7 @@ class Hardware(Value):
     lower: tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
     upper: tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
     volume_mm: Size = (60.0, 70.0, 30.0)
-    coded_axes: Literal[1, 2] = 1
+    coded_axes: CodedAxes = 1
     circle_px: Measure = 1.0
     refocused: tuple[bool, bool] = (True, True)
     detector: DetectorModel = field(default_factory=Detector)
@@ -291,7 +295,7 @@ class _Design(Parameters):
     l_mm: Pair
     alpha_p_deg: Pair
     beta_p_deg: Pair
-    coded_axes: Literal[1, 2] = 1
+    coded_axes: CodedAxes | None = None
     circle_of_confusion_px: Measure = 1.0
 
 
@@ -374,11 +378,18 @@ def _hardware(content: Mapping[str, Any], path: Path) -> Hardware:
             lower,  # type: ignore[arg-type]
             upper,  # type: ignore[arg-type]
             volume,
-            design.coded_axes,
+            design.coded_axes or _coded_by(file.patterns),
             design.circle_of_confusion_px,
             (file.camera.focus_distance_mm is None, file.projector.focus_distance_mm is None),
             detector_of(file.detector, f"{path.name}: detector"),
         )
+
+
+def _coded_by(patterns: Any) -> CodedAxes:
+    """Return the axes that a file's ``[patterns]`` state; 1 where they state none."""
+    stated = patterns.get("axes") if isinstance(patterns, Mapping) else None
+    known: dict[Any, CodedAxes] = {"u": "u", "v": "v", "uv": "uv", "vu": "uv"}
+    return known.get(stated, 1) if isinstance(stated, str) else 1
 
 
 def thesis_configurations(hardware: Hardware) -> Array | None:

@@ -140,6 +140,11 @@ def optimise(
         least infeasible configuration; or an argument is not as above.
     KeyboardInterrupt
         If interrupted, by Ctrl-C or `on_progress`, ahead of the first rig of the front.
+
+    Warns
+    -----
+    InputWarning
+        If the axis that the hardware codes runs along the recommended rig's epipolar lines.
     """
     names = tuple(objectives)
     unknown = [name for name in names if name not in OBJECTIVES]
@@ -202,13 +207,16 @@ def optimise(
         )
     seconds = time.perf_counter() - begin
     clusters = cluster_front(front, seed)
+    recommended = _nearest_to_ideal(front.f, clusters)
+    best = hardware.place(front.x[[clusters.representatives[recommended]]])
+    evaluator.question(best, evaluator.evaluate(best))
     return RigDesign(
         hardware,
         ("volume",) if micro else names,
         front,
         evaluator.evaluate(hardware.place(front.x)),
         clusters,
-        _nearest_to_ideal(front.f, clusters),
+        recommended,
         seconds,
     )
 

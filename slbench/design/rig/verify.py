@@ -4,13 +4,17 @@ The evaluator (thesis 3.1) knows geometry and the grids of pixels.  A rendered s
 it leaves out: fringes that interpolate between panel pixels, the detector's noise and rounding,
 defocus, light that falls off.  :func:`rendered_errors` measures a plate in each configuration;
 :func:`verify` ranks configurations by prediction and by measurement.
+
+The patterns code exactly the axes that the prediction is for.  With both, points are those nearest
+to both rays (``triangulate(..., meeting="nearest")``), which is what the evaluator predicts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -19,13 +23,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.stats import spearmanr
 
 from slbench import objects
-from slbench.core.errors import InputError
+from slbench.cloud.triangulation import triangulate
+from slbench.core.errors import InputError, warn_user
 from slbench.core.io import atomic_path
 from slbench.core.show.display import brief
 from slbench.design.rig.evaluate import Evaluation, evaluate
 from slbench.design.rig.hardware import Hardware, as_configurations
 from slbench.patterns import PatternSource, read_patterns
-from slbench.rig import Pose
+from slbench.patterns.sequence import PatternSequence
+from slbench.rig import Pose, Rig
 from slbench.scene.model import Scene, SceneObject
 from slbench.score.points import point_errors
 from slbench.simulate.scan import scan
@@ -43,6 +49,7 @@ class Verification:
     Parameters
     ----------
     predicted : Evaluation
+        Its ``axes`` are those that were rendered.
     rendered_mm : (n,) float
         RMS distance of measured from true points on smooth surface, mm.
     rendered_z_mm : (n,) float
@@ -79,7 +86,8 @@ def rendered_errors(
         Design variables, mm and rad.
     patterns : str and whatever else is a pattern set
         Of three shifts (:func:`slbench.patterns.read_patterns`); thesis 6.2.2 projects one fringe
-        and five.
+        and five.  Along the axes that the hardware codes (of 1, the better one), unless the set
+        states its own.
     samples : int
         Monte Carlo samples a pixel.
     seed : int
@@ -95,13 +103,42 @@ def rendered_errors(
         RMS of the distance from the true point and of its z component, over smooth lit
         surface of all heights; NaN where nothing was measured.
     """
-    rig = hardware.rig(configuration)
+    hardware = _coding(hardware, patterns, allow_modules)
+    axes = str(evaluate(hardware, configuration).axes[0])
+    sequence = _sequence(hardware, patterns, axes, allow_modules)
+    options = (samples, seed, noise, heights_mm)
+    return plate_errors(hardware, hardware.rig(configuration), sequence, *options)
+
+
+def plate_errors(
+    hardware: Hardware,
+    rig: Rig,
+    sequence: PatternSequence,
+    samples: int = 16,
+    seed: int = 0,
+    noise: bool = True,
+    heights_mm: Sequence[float] | None = None,
+) -> tuple[float, float]:
+    """As :func:`rendered_errors`, of a rig in any pose and a pattern sequence.
+
+    Parameters
+    ----------
+    hardware : Hardware
+        Its volume and detector count.
+    rig : Rig
+    sequence : PatternSequence
+    samples, seed, noise, heights_mm
+        As for :func:`rendered_errors`.
+
+    Returns
+    -------
+    distance, height : float
+        mm.
+    """
     size = hardware.volume_mm
     plate = objects.build_artefact(
         "plane", {"size_mm": [size[0], size[1]], "thickness_mm": 0.1 * min(size[:2])}
     )
-    panel = rig.projector.width, rig.projector.height
-    sequence = read_patterns(patterns, panel, allow_modules=allow_modules).sequence
     squares: list[Array] = []
     heights = [h * size[2] / 2 for h in _HEIGHTS] if heights_mm is None else heights_mm
     for k, height in enumerate(heights):
@@ -115,6 +152,8 @@ def rendered_errors(
         )
         result = scan(scene, seed=seed + k, noise=noise, score=False)
         cloud, truth = result.cloud, result.truth
+        if len(sequence.axes) == 2:
+            cloud = triangulate(rig, result.phase, "nearest")
         error = point_errors(cloud, truth)[truth.smooth()[cloud.pixels[:, 1], cloud.pixels[:, 0]]]
         squares.append(error**2)
     everything = np.concatenate(squares)
@@ -149,25 +188,51 @@ def verify(
     ------
     InputError
         For fewer than three configurations.
+
+    Warns
+    -----
+    InputWarning
+        If the coded axis runs along the epipolar lines of a configuration, or the patterns state
+        other axes than the hardware: theirs are predicted and rendered.
     """
     rows = as_configurations(configurations)
     if len(rows) < 3:
         raise InputError("configurations", "at least 3, to compare ranks", len(rows))
     errors = np.empty((len(rows), 2))
+    hardware = _coding(hardware, patterns, allow_modules)
+    predicted = evaluate(hardware, rows)
+    sequences = {
+        axes: _sequence(hardware, patterns, axes, allow_modules)
+        for axes in np.unique(predicted.axes).tolist()
+    }
     for i, row in enumerate(rows):
-        errors[i] = rendered_errors(
-            *(hardware, row),
-            patterns=patterns,
-            samples=samples,
-            seed=seed + 100 * i,
-            allow_modules=allow_modules,
-        )
+        rig, sequence = hardware.rig(row), sequences[str(predicted.axes[i])]
+        errors[i] = plate_errors(hardware, rig, sequence, samples, seed + 100 * i)
         if on_progress:
             on_progress("render", (i + 1) / len(rows))
-    predicted = evaluate(hardware, rows)
     both = np.isfinite(errors[:, 0]) & np.isfinite(predicted.mu_mm)
     rank = float(spearmanr(predicted.mu_mm[both], errors[both, 0]).statistic)
     return Verification(predicted, errors[:, 0], errors[:, 1], rank)
+
+
+def _sequence(
+    hardware: Hardware, patterns: PatternSource, axes: str, allow_modules: bool
+) -> PatternSequence:
+    panel = hardware.projector.width, hardware.projector.height
+    return read_patterns(patterns, panel, axes=axes, allow_modules=allow_modules).sequence
+
+
+def _coding(hardware: Hardware, patterns: PatternSource, allow_modules: bool) -> Hardware:
+    """Return the hardware, coding the axes of a pattern set that states its own."""
+    told = [_sequence(hardware, patterns, axes, allow_modules).axes for axes in ("u", "v")]
+    if told[0] != told[1]:
+        return hardware
+    own: Any = "".join(sorted(told[0]))
+    stated = "uv" if hardware.coded_axes == 2 else hardware.coded_axes
+    if stated not in (1, own):
+        doubt = f"the patterns code {own}, coded_axes of the hardware is {stated}"
+        warn_user("patterns", f"{doubt}; {own} is predicted and rendered", stacklevel=4)
+    return replace(hardware, coded_axes=own)
 
 
 def draw(result: Verification, path: str | Path) -> None:

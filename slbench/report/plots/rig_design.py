@@ -104,7 +104,10 @@ def write_design(
 
 
 def scene_of(design: RigDesign, content: dict[str, Any], member: int) -> dict[str, Any]:
-    """Return a complete scene: the hardware's file, one rig of the front, and a plate."""
+    """Return a complete scene: the hardware's file, one rig of the front, and a plate.
+
+    Its patterns code the axes that the rig's error is predicted for, unless given in parts.
+    """
     scene = {key: value for key, value in content.items() if key != "design"}
     values = _degrees(design.front.x)[member]
     volume = design.hardware.volume_mm
@@ -112,6 +115,9 @@ def scene_of(design: RigDesign, content: dict[str, Any], member: int) -> dict[st
     scene["description"] = f"member {member} of the front, over a plate of the volume's size"
     scene["rig"] = dict(zip(VARIABLES, (float(v) for v in values), strict=True))
     scene["rig"]["volume_mm"] = list(volume)
+    if "parts" not in scene.get("patterns", {}):
+        axes = str(design.evaluation.axes[member])
+        scene["patterns"] = {**scene.get("patterns", {}), "axes": axes}
     plate = {"size_mm": [volume[0], volume[1]], "thickness_mm": 0.1 * min(volume[:2])}
     scene["objects"] = [{"kind": "plane", "parameters": plate, "material": "matt-white-spray"}]
     return scene

@@ -31,7 +31,7 @@ def test_macro_hardware_is_the_thesis_one():
     assert MACRO.projector.body_mm == (200, 55, 115)
     assert MACRO.volume_mm == (60, 70, 30)
     assert MACRO.projector_distance_mm == (575, 1000)
-    assert MACRO.coded_axes == 1
+    assert MACRO.coded_axes == "u"
     assert MACRO.lower == pytest.approx((250, -500, -500, 0, -np.pi / 2, np.deg2rad(10)))
     assert MACRO.upper == pytest.approx((1000, 0, 0, 500, 0, np.deg2rad(15)))
 

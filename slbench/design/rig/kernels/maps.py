@@ -30,17 +30,26 @@ _DISTORTED_STEP = 0.9
 
 
 class Maps:
-    """The maps of one hardware at given planes and strides.
+    """The maps of one hardware at given planes and strides, for patterns along `axes`.
+
+    The kernels know one coded axis, the panel's first.  Where rows are coded, the maps to the
+    panel have u and v exchanged; correspondences are the same.
 
     A telecentric lens keeps its magnification when it is focused elsewhere, so the principal
     and focus distances of the hardware serve for all configurations.
     """
 
     def __init__(
-        self, hardware: Hardware, planes: Array, strides: tuple[int, int], edges: bool = False
+        self,
+        hardware: Hardware,
+        planes: Array,
+        strides: tuple[int, int],
+        axes: str,
+        edges: bool = False,
     ) -> None:
         self.hardware, self.planes, self.strides = hardware, planes, strides
-        self.coded_axes = EDGES if edges else hardware.coded_axes
+        self.coded_axes = EDGES if edges else len(axes)
+        self._order = [1, 0] if axes == "v" else [0, 1]
         camera, projector = hardware.camera, hardware.projector
         self.rows = -(-camera.height // strides[1])
         self.columns = -(-camera.width // strides[0])
@@ -53,7 +62,7 @@ class Maps:
         self.camera_rays = np.linalg.inv(_pixels(camera))
         self.projector_rays = np.ascontiguousarray(np.linalg.inv(self.projector_pixels))
         self.half = _WITHIN * 0.5 * np.array(hardware.volume_mm)
-        self.size = np.array([projector.width, projector.height], dtype=np.float64)
+        self.size = np.array([projector.width, projector.height], dtype=np.float64)[self._order]
         self.step = self._least_step()
         self.tables = (*self._tables(), *self._lens()) if self.distorted else ()
 
@@ -62,7 +71,7 @@ class Maps:
         n = len(place.valid)
         out = np.empty((n, 4))
         windows = self._windows(place)
-        matrix = self._projector_matrix(place)
+        matrix = self._projector_matrix(place)[:, [*self._order, 2]]
         axis, depth = self._axis_and_depth(place)
         ground = self._rays_to_plane(place)
         common = (
@@ -106,6 +115,22 @@ class Maps:
         return self.flat_projector.project(
             (self.corners - place.projector_position[:, np.newaxis]) @ place.projector_rotation
         )
+
+    def slopes(self, place: Placement) -> Array:
+        """Return how fast u and v of the panel change along the camera's rays, (n, 2, 9), px/mm.
+
+        At the middle and the corners of the volume, without distortion; absolute values.
+        """
+        points = np.vstack((np.zeros(3), self.corners))
+        axis, _ = self._axis_and_depth(place)
+        rays = points - place.camera_position[:, np.newaxis]
+        rays = rays / np.linalg.norm(rays, axis=2, keepdims=True)
+        rays = np.where(np.any(axis, axis=1)[:, np.newaxis, np.newaxis], axis[:, np.newaxis], rays)
+        matrix = self._projector_matrix(place)
+        pixel = np.einsum("nij,kj->nik", matrix, np.column_stack((points, np.ones(len(points)))))
+        change = np.einsum("nij,nkj->nik", matrix[:, :, :3], rays)
+        scale = pixel[:, 2:]
+        return np.abs(change[:, :2] - pixel[:, :2] / scale * change[:, 2:]) / np.abs(scale)
 
     def _projector_matrix(self, place: Placement) -> Array:
         """World point to panel pixel without distortion, (n, 3, 4) (thesis eq. 9)."""
@@ -213,18 +238,19 @@ class Maps:
         quarter = (-0.25, 0.0, 0.25)
         offsets = np.array([[i, j] for j in quarter for i in quarter])
         rays = camera.normalise(_sampled(camera, self.strides)[:, :, np.newaxis] + offsets)
-        if self.hardware.coded_axes == 1:
+        if self.coded_axes != 2:
             return rays, np.empty((0, 0, 2))
         return rays, projector.normalise(projector.pixel_grid())
 
     def _lens(self) -> tuple[Array, Array, Array]:
         """Return the projector's distortion, tilt and pixels for the kernel that distorts."""
         projector = self.hardware.projector
-        fu, fv = projector.matrix[0, 0], projector.matrix[1, 1]
+        focal = np.array([projector.matrix[0, 0], projector.matrix[1, 1]])
+        tilt = np.asarray(projector.tilt_homography, dtype=np.float64)
         return (
             with_fold(projector.distortion),
-            np.ascontiguousarray(projector.tilt_homography, dtype=np.float64),
-            np.array([fu, fv, *projector.centre]),
+            np.ascontiguousarray(tilt[[*self._order, 2]]),
+            np.concatenate((focal[self._order], np.array(projector.centre)[self._order])),
         )
 
 
