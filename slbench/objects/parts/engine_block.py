@@ -253,8 +253,9 @@ def _check(p: EngineBlockParameters, section: _Section, where: str) -> None:
     # A wall above the bays' corners.  (Bores meet below the bays' ceiling wherever a deck is
     # wide enough for them: the valley is at (deck_width/2 + valley_width/2 cosine) / sine.)
     nearest = (case - wall) * sine + ceiling * cosine + wall
+    least = 2 * (bore + wall) * (1.0 - 1e-12)  # a scaled block at the limit: rounding
     limits: list[tuple[str, bool, str]] = [
-        ("deck_width_mm", p.deck_width_mm >= 2 * (bore + wall), f"at least {2 * (bore + wall):g}"),
+        ("deck_width_mm", p.deck_width_mm >= least, f"at least {2 * (bore + wall):g}"),
         (
             "bore_spacing_mm",
             p.bore_spacing_mm > 2 * bore + p.stagger_mm + wall,
