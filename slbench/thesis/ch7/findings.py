@@ -22,8 +22,6 @@ from slbench.thesis.rules import SIZE_TOLERANCE, judged
 
 Array = NDArray[np.float64]
 
-#: What factors are uncertain by where a vibration moves all pixels together, 30 scans.
-UNCERTAIN = 1.1
 #: Tag of the random stream of height errors.
 _DRAWS = 5
 
@@ -214,8 +212,7 @@ def cause_finding(name: str, cause: Cause, rival: Cause, stands: str) -> Finding
     """Judge what one cause, fitted to the step block's factor 4.17, says of all other factors.
 
     A cause that passes is consistent with the tables.  So may be its rival, whose factors stand
-    beside: a cause is "in part" as long as another predicts as much, by factors that are known to
-    some 10 % themselves.
+    beside: a cause is "in part" as long as another predicts as much.
 
     Parameters
     ----------
@@ -227,8 +224,7 @@ def cause_finding(name: str, cause: Cause, rival: Cause, stands: str) -> Finding
         What the cause stands for.
     """
     off, other = predicted(cause[1]), predicted(rival[1])
-    met = {key for key, q in off.items() if _within(q, FACTOR_TOLERANCE)}
-    rival_met = {key for key, q in other.items() if _within(q, FACTOR_TOLERANCE * UNCERTAIN)}
+    met, rival_met = ({key for key, q in each.items() if _met(q)} for each in (off, other))
     worst = max(off, key=lambda key: abs(np.log(off[key])))
     alone = sorted(rival_met - met)
     also = f", among them {' and '.join(alone)}, which this one misses" if alone else ""
@@ -237,8 +233,7 @@ def cause_finding(name: str, cause: Cause, rival: Cause, stands: str) -> Finding
         f"With {cause[0]}, fitted to the step block's factor 4.17, all other factors of tables 8 "
         "and 9",
         f"each of the {len(off)} within a factor {FACTOR_TOLERANCE} of the thesis's, and more of "
-        f"them than the rival cause predicts within {FACTOR_TOLERANCE * UNCERTAIN:g}, as factors "
-        "are known to some 10 %; in part if more than half are",
+        "them than by the rival cause; in part if more than half are",
         "cause",
         {"met": len(met), "rival_met": len(rival_met), "of": len(off)},
         f"{len(met)} of {len(off)} are; the worst is {worst}: {off[worst]:.2f} times the thesis's.",
@@ -250,8 +245,8 @@ def cause_finding(name: str, cause: Cause, rival: Cause, stands: str) -> Finding
     )
 
 
-def _within(quotient: float, tolerance: float) -> bool:
-    return 1.0 / tolerance <= quotient <= tolerance
+def _met(quotient: float) -> bool:
+    return 1.0 / FACTOR_TOLERANCE <= quotient <= FACTOR_TOLERANCE
 
 
 def time_findings(timing: Timing, seed: int) -> list[Finding]:

@@ -109,8 +109,7 @@ class TestFindingsHold:
         vibration, blur = ch7_findings.cause_findings(shaken, blurred)
         assert (vibration.verdict, blur.verdict) == ("reproduced", "not reproduced")
         assert "0.070 px" in vibration.statement
-        # One of them within what factors are uncertain by.
-        assert "blurs by 1.77 px, predicts 1 of 3" in vibration.why
+        assert "blurs by 1.77 px, predicts 0 of 3" in vibration.why
         assert "which this one misses" in blur.why
         # Where both explain all, neither is the cause.
         both = ch7_findings.cause_findings(shaken, replace(blurred, found=told))
