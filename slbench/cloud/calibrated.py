@@ -46,7 +46,8 @@ def with_calibration(
     Returns
     -------
     PointCloud
-        With ``calibration_mm2``, NaN where a point is lost by an error of one standard deviation.
+        With ``calibration_mm2``, NaN where errors of one standard deviation to either side lose a
+        point.
     """
     deviations = np.sqrt(np.diag(covariance.matrix))
     scale = np.where(deviations > 0.0, deviations, 1.0)
@@ -62,7 +63,11 @@ def with_calibration(
             other = moved(rig, dict(zip(covariance.names, (sign * error).tolist(), strict=True)))
             found = triangulate(other, phase, meeting)
             ends.append(found.image(found.points)[v, u])
-        half = 0.5 * (ends[0] - ends[1])
+        # A point that one error loses is told by the other alone.
+        plus, minus = (np.where(np.isfinite(end), end, cloud.points) for end in ends)
+        sides = np.isfinite(ends[0][:, :1]) * 1.0 + np.isfinite(ends[1][:, :1])
+        with np.errstate(invalid="ignore"):
+            half = (plus - minus) / np.where(sides > 0.0, sides, np.nan)
         total += half[:, :, None] * half[:, None, :]
     known = 0.0 if cloud.calibration_mm2 is None else cloud.calibration_mm2
     return replace(cloud, calibration_mm2=known + total)

@@ -78,7 +78,7 @@ class Decoded:
             "valid_pixels": int(np.count_nonzero(self.phase.mask)),
             "points": None if cloud is None else len(cloud),
             "predicted_sigma_mm": float(np.median(cloud.sigma_total_mm)) if cloud else None,
-            "predicted_u_mm": float(np.median(cloud.u_total_mm)) if cloud else None,
+            "predicted_u_mm": float(np.nanmedian(cloud.u_total_mm)) if cloud else None,
             "ripple": [found.to_dict() for found in self.ripple],
             "noise": self.noise_kind,
             "noise_model": None if self.noise_kind == "decoder" else asdict(self.noise),

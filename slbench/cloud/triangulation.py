@@ -88,7 +88,7 @@ class PointCloud:
             head,
             ", ".join(f"{axis} {low:.4g} to {high:.4g}" for axis, low, high in limits) + " mm",
             f"standard deviation by noise {length(float(np.median(self.sigma_total_mm)))}, "
-            f"uncertainty {length(float(np.median(self.u_total_mm)))} (medians)",
+            f"uncertainty {length(float(np.nanmedian(self.u_total_mm)))} (medians)",
         )
 
     @property

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, pi
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +69,7 @@ class Ripple:
         Their standard deviations; infinite where the image does not tell.
     """
 
-    cause: str
+    cause: Literal["pixels", "fringes"]
     axis: Axis
     period_px: float
     harmonics: tuple[int, ...]
@@ -138,10 +138,11 @@ def ripples(phase: PhaseMap, sequence: PatternSequence) -> tuple[Ripple, ...]:
         shifts = len(placed.frames)
         kinds = _FRINGES if shifts > _MOST_SHIFTS else tuple(sorted({*_FRINGES, shifts}))
         lines = _lines(coordinate, phase.mask)
-        for cause, period, harmonics in (
+        waves: tuple[tuple[Literal["pixels", "fringes"], float, tuple[int, ...]], ...] = (
             ("pixels", 1.0, _STAIRS),
             ("fringes", sequence.size(axis) / count, kinds),
-        ):
+        )
+        for cause, period, harmonics in waves:
             told = _regressed(lines, period, harmonics)
             if told is not None:
                 found.append(Ripple(cause, axis, period, harmonics, *told))

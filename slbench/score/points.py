@@ -159,6 +159,7 @@ def score(
     limit = OUTLIER_SIGMAS * max(1.4826 * mad, 1e-12)
     predicted = _median(cloud.sigma_total_mm)
     smooth_error = distance[in_smooth[lit]]
+    unsure = cloud.u_total_mm
     coverage = _coverage(cloud, error, in_smooth & lit)
     features = _features(cloud, truth.object_id, in_smooth, objects, rig)
     return Score(
@@ -173,7 +174,7 @@ def score(
         mad_mm=mad,
         p95_abs_mm=float(np.percentile(distance, 95)) if distance.size else float("nan"),
         predicted_sigma_mm=predicted,
-        predicted_u_mm=_median(cloud.u_total_mm),
+        predicted_u_mm=_median(unsure[np.isfinite(unsure)]),
         coverage_1u=coverage[0],
         coverage_2u=coverage[1],
         coverage_3u=coverage[2],

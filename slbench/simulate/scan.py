@@ -384,8 +384,10 @@ def score_scan(scan: Scan) -> Scan:
     -------
     Scan
         With its scores; the uncertainty of its points holds the renderer's own sampling from now
-        on.
+        on.  One that has scores is returned as it is.
     """
+    if scan.scores is not None:
+        return scan
     scene, view = scan.scene, scan.view
     fusion = None
     if scene.focus is not None:

@@ -7,6 +7,7 @@ import pytest
 from scenes_small import small, truth_of
 
 from slbench.capture.capture import Capture
+from slbench.cloud import calibrated
 from slbench.cloud.calibrated import with_calibration
 from slbench.cloud.decoded import decode_capture
 from slbench.cloud.triangulation import triangulate
@@ -115,3 +116,27 @@ def test_a_capture_carries_what_is_known_of_its_rig(tmp_path):
     (tmp_path / "shots" / "rig.yaml").write_text(rig.replace("covariance_names", "names"))
     with pytest.raises(InputError, match=r"covariance_names \(a text\) and covariance"):
         Capture.load(tmp_path / "shots")
+
+
+def test_a_point_that_one_error_loses_is_told_by_the_other(monkeypatch):
+    rig, phase = small("plane").rig, exact_phase("u")
+    covariance = ParameterCovariance.of({"projector.cx_px": 0.5})
+    cloud = triangulate(rig, phase)
+    whole = with_calibration(cloud, rig, phase, covariance).calibration_mm2
+    true = calibrated.triangulate
+    calls = []
+
+    def lossy(other, phase, meeting):
+        found = true(other, phase, meeting)
+        calls.append(other)
+        kept = np.ones(len(found), bool)
+        kept[:7] = False
+        kept[7:9] = len(calls) == 1
+        return found.chosen(kept)
+
+    monkeypatch.setattr(calibrated, "triangulate", lossy)
+    found = with_calibration(cloud, rig, phase, covariance)
+    assert np.isnan(found.calibration_mm2[:7]).all()  # lost by both
+    np.testing.assert_allclose(found.calibration_mm2[7:9], whole[7:9], rtol=0.01)
+    np.testing.assert_array_equal(found.calibration_mm2[9:], whole[9:])
+    assert "nan" not in repr(found)

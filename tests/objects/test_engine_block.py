@@ -16,6 +16,7 @@ from macro_artefacts import (
 )
 
 from slbench import objects
+from slbench.core.errors import InputError
 
 BLOCK = {
     "bank_angle_deg": 90.0,
@@ -56,6 +57,19 @@ def test_any_block_is_one_solid_with_its_openings(scale, angle, bore, stagger, t
     assert set(block.certified) <= set(measured)
     for key, value in block.certified.items():
         assert measured[key] == pytest.approx(value, rel=1e-11, abs=1e-9), key
+
+
+def test_scaled_blocks_at_their_limits_are_taken():
+    """Bore and wall fill the deck, tunnel and wall the skirt, to rounding; beyond is refused."""
+    limits = {"bore_diameter_mm": 13.0, "tunnel_diameter_mm": 2.0 * (BLOCK["skirt_mm"] - 2.5)}
+    assert BLOCK["wall_mm"] == 2.5
+    for scale in (1.0, 4.492458992176611, 0.1, 1.0 / 3.0, 7.7):
+        lengths = {k: v * scale for k, v in (BLOCK | limits).items() if k.endswith("_mm")}
+        lengths["tunnel_diameter_mm"] = min(lengths["tunnel_diameter_mm"], 10.0 * scale)
+        lengths["deck_distance_mm"] = 24.0 * scale
+        fresh("engine_block", {**BLOCK, **lengths})
+        with pytest.raises(InputError, match="deck_width_mm"):
+            fresh("engine_block", {**BLOCK, **lengths, "bore_diameter_mm": 13.001 * scale})
 
 
 @pytest.mark.parametrize("change", [{}, {"bank_angle_deg": 60.0, "deck_distance_mm": 27.0}])

@@ -395,6 +395,8 @@ def test_scores_may_be_left_out_and_made_later():
     scored = score_scan(result)
     assert scored.scores == with_scores.scores
     np.testing.assert_array_equal(scored.cloud.u_mm, with_scores.cloud.u_mm)
+    # Nothing is known twice.
+    assert score_scan(scored) is scored
 
 
 def test_a_scan_has_a_view_of_each_pair():

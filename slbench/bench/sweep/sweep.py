@@ -278,8 +278,8 @@ def _measured(
         values = np.empty((repeats, len(of_scans)))
         for r in range(repeats):
             own = seed if r == 0 else tagged_seed(seed, r)
-            made = scan(scene, seed=own, score=False, lights=lights)
-            made = score_scan(made)
+            # Scored here: of all combinations together it is told where sampling is seen.
+            made = score_scan(scan(scene, seed=own, score=False, lights=lights))
             row = score_values(made, further)
             values[r] = [max((row[name] for name in one), key=_largest) for one in names]
             doubt = doubt or samples_doubt(made)

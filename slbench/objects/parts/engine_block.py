@@ -253,9 +253,9 @@ def _check(p: EngineBlockParameters, section: _Section, where: str) -> None:
     # A wall above the bays' corners.  (Bores meet below the bays' ceiling wherever a deck is
     # wide enough for them: the valley is at (deck_width/2 + valley_width/2 cosine) / sine.)
     nearest = (case - wall) * sine + ceiling * cosine + wall
-    least = 2 * (bore + wall) * (1.0 - 1e-12)  # a scaled block at the limit: rounding
+    deck, skirt = 2 * (bore + wall), tunnel + wall
     limits: list[tuple[str, bool, str]] = [
-        ("deck_width_mm", p.deck_width_mm >= least, f"at least {2 * (bore + wall):g}"),
+        ("deck_width_mm", _reaches(p.deck_width_mm, deck), f"at least {deck:g}"),
         (
             "bore_spacing_mm",
             p.bore_spacing_mm > 2 * bore + p.stagger_mm + wall,
@@ -277,17 +277,26 @@ def _check(p: EngineBlockParameters, section: _Section, where: str) -> None:
             case - wall > max(bore * cosine, tunnel),
             f"more than {2 * (max(bore * cosine, tunnel) + wall):.4g}, for bores and tunnel",
         ),
-        ("skirt_mm", p.skirt_mm >= tunnel + wall, f"at least {tunnel + wall:g}, tunnel and wall"),
+        ("skirt_mm", _reaches(p.skirt_mm, skirt), f"at least {skirt:g}, tunnel and wall"),
         (
             "tunnel_diameter_mm",
             tunnel < ceiling,
             f"less than {2 * ceiling:.4g}, for a roof over the crank",
         ),
-        ("deck_distance_mm", p.deck_distance_mm >= nearest, f"at least {nearest:.4g}, for walls"),
+        (
+            "deck_distance_mm",
+            _reaches(p.deck_distance_mm, nearest),
+            f"at least {nearest:.4g}, for walls",
+        ),
     ]
     for key, holds, expected in limits:
         if not holds:
             raise InputError(f"{where}.{key}", expected, getattr(p, key))
+
+
+def _reaches(length: float, least: float) -> bool:
+    """Return whether a length is at least another; a scaled block's may be off by rounding."""
+    return length >= least * (1.0 - 1e-12)
 
 
 def _bay(p: EngineBlockParameters, section: _Section) -> manifold3d.Manifold:
