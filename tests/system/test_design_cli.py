@@ -159,6 +159,7 @@ def test_rig_files_and_summary(found):
     front, clusters = table(out / "front.csv"), table(out / "clusters.csv")
     saved = Front.load(out / "front.npz")
     assert summary["front"] == len(front) == len(saved)
+    assert {row["axes"] for row in (*front, *clusters)} == {"u"}
     assert summary["clusters"] == len(clusters)
     assert 100 < summary["evaluations"] == saved.evaluations <= 150
     assert summary["stopped"] == saved.stopped == "budget"

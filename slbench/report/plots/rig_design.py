@@ -134,13 +134,14 @@ def _write_csv(path: Path, design: RigDesign, members: NDArray, clusters: NDArra
     recommended = design.member()
     write_table(
         path,
-        ["member", "cluster", "recommended", *VARIABLES, *_METRICS, *design.objectives],
+        ["member", "cluster", "recommended", *VARIABLES, "axes", *_METRICS, *design.objectives],
         (
             [
                 member,
                 cluster,
                 int(member == recommended),
                 *rows[member],
+                metrics[member]["axes"],
                 *(metrics[member][name] for name in _METRICS),
                 *design.front.f[member],
             ]
