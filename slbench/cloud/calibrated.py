@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from slbench.cloud.triangulation import Meeting, PointCloud, triangulate
+from slbench.core.errors import located
 from slbench.patterns import PhaseMap
 from slbench.rig import Rig
 from slbench.rig.parameters import ParameterCovariance, moved
@@ -48,6 +49,11 @@ def with_calibration(
     PointCloud
         With ``calibration_mm2``, NaN where errors of one standard deviation to either side lose a
         point.
+
+    Raises
+    ------
+    InputError
+        If there is no such rig as one that is off by a standard deviation.
     """
     deviations = np.sqrt(np.diag(covariance.matrix))
     scale = np.where(deviations > 0.0, deviations, 1.0)
@@ -60,7 +66,9 @@ def with_calibration(
         error = np.sqrt(value) * vector * scale
         ends = []
         for sign in (1.0, -1.0):
-            other = moved(rig, dict(zip(covariance.names, (sign * error).tolist(), strict=True)))
+            off = dict(zip(covariance.names, (sign * error).tolist(), strict=True))
+            with located("covariance of the rig: off by one standard deviation"):
+                other = moved(rig, off)
             found = triangulate(other, phase, meeting)
             ends.append(found.image(found.points)[v, u])
         # A point that one error loses is told by the other alone.

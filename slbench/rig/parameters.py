@@ -78,8 +78,12 @@ class ParameterCovariance:
         k = len(self.names)
         if len(set(self.names)) < k or not k:
             raise InputError(f"{where} names", "each parameter once", ", ".join(self.names)[:80])
-        if matrix.shape != (k, k) or not np.isfinite(matrix).all():
+        if matrix.shape != (k, k):
             raise InputError(where, f"{k} x {k} finite numbers", f"shape {matrix.shape}")
+        if not np.isfinite(matrix).all():
+            row, column = np.argwhere(~np.isfinite(matrix))[0]
+            got = f"{matrix[row, column]} of {self.names[row]} and {self.names[column]}"
+            raise InputError(where, f"{k} x {k} finite numbers", got)
         scale = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
         scaled = matrix / np.outer(*[np.where(scale > 0.0, scale, 1.0)] * 2)
         lowest = float(np.linalg.eigvalsh(0.5 * (scaled + scaled.T))[0])

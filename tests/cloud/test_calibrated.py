@@ -140,3 +140,12 @@ def test_a_point_that_one_error_loses_is_told_by_the_other(monkeypatch):
     np.testing.assert_allclose(found.calibration_mm2[7:9], whole[7:9], rtol=0.01)
     np.testing.assert_array_equal(found.calibration_mm2[9:], whole[9:])
     assert "nan" not in repr(found)
+
+
+def test_a_covariance_beyond_all_rigs_is_one_line():
+    rig, phase = small("plane").rig, exact_phase("u")
+    far = ParameterCovariance.of({"camera.fx_px": 1e5})
+    with pytest.raises(InputError, match=r"^covariance of the rig: off by one .*focal_length_mm"):
+        with_calibration(triangulate(rig, phase), rig, phase, far)
+    with pytest.raises(InputError, match=r"got nan of camera\.fx_px and camera\.fx_px"):
+        ParameterCovariance(("camera.fx_px",), np.array([[np.nan]]))
