@@ -13,7 +13,7 @@ from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.core.validation.types import MaxLen, Measure, MinLen
 from slbench.core.validation.values import Value
-from slbench.rig import Rig
+from slbench.rig import Pose, Rig
 
 #: More settings than any stack has are a slip.
 MAX_SETTINGS = 1000
@@ -49,9 +49,14 @@ class Focus(Value):
 
     @classmethod
     def sweep(
-        cls, rig: Rig, heights_mm: Sequence[float], move: str = "both", apart: bool = False
+        cls,
+        rig: Rig,
+        heights_mm: Sequence[float],
+        move: str = "both",
+        apart: bool = False,
+        place: Pose | None = None,
     ) -> Self:
-        """Return settings that focus on points above the origin, one after the other.
+        """Return settings that focus on points above a place, one after the other.
 
         Parameters
         ----------
@@ -62,6 +67,8 @@ class Focus(Value):
             Which device follows, by name, the others keep their focus; "both" moves all.
         apart : bool
             Every height of a device with every one of the others; together otherwise.
+        place : Pose, optional
+            Heights are along its z from its origin; the world's frame by default.
         """
         if move not in ("both", *rig.devices):
             raise InputError("focus move", f"both or one of {', '.join(rig.devices)}", move)
@@ -71,6 +78,7 @@ class Focus(Value):
         for name, device in rig.devices.items():
             if move in ("both", name):
                 points = np.array([[0.0, 0.0, z] for z in heights_mm]).reshape(-1, 3)
+                points = points if place is None else place.to_world(points)
                 depth = (points - device.pose.position) @ device.pose.rotation[:, 2]
                 distances.append([float(d) for d in depth])
             else:

@@ -3,10 +3,11 @@
 from slbench.rig.device import Camera, Device, Projector
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners
-from slbench.rig.rig import ALONE, DesignVariables, Pair, Rig, rotation_yx
+from slbench.rig.rig import ALONE, VOLUME_MM, DesignVariables, Pair, Rig, rotation_yx
 
 __all__ = [
     "ALONE",
+    "VOLUME_MM",
     "Camera",
     "DesignVariables",
     "Device",

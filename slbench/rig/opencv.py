@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from difflib import SequenceMatcher
 from pathlib import Path
 from typing import Any
 
@@ -32,12 +33,30 @@ from slbench.rig.device import Camera, Projector
 from slbench.rig.doubts import rig_doubts
 from slbench.rig.lens import Lens
 from slbench.rig.parameters import ParameterCovariance
-from slbench.rig.pose import Pose
-from slbench.rig.rig import ALONE, LEAST_DEPTH_MM, Pair, Rig
+from slbench.rig.pose import Pose, nearest_rotation
+from slbench.rig.rig import ALONE, LEAST_DEPTH_MM, VOLUME_MM, Pair, Rig
 
 #: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel
 #: depend on it; rays do not.
 _NOMINAL_PITCH_UM = 5.0
+
+#: Distances of a matrix from a rotation, in an element: what double precision leaves, what is worth
+#: a word (0.02 px at a focal length of 2000), and the most that rounding in print does.
+_EXACT, _COARSE, _ROUNDED = 1e-12, 1e-5, 1e-3
+
+#: Entries that a file may have, without the name of a device; those of one device alone.
+_OF_DEVICES = (
+    *("K", "dist", "size", "pitch_um", "aperture_radius_mm", "focus_distance_mm", "lens"),
+    *("natural_vignetting", "wavelength_nm", "blur_px", "body_mm", "name"),
+)
+_ENTRIES = (
+    *(f"{stem}_{name}" for stem in _OF_DEVICES for name in ALONE),
+    *("R", "T", "R_world", "T_world", "fill_factor_camera", "flux_w", "bit_depth_projector"),
+    *("gamma_projector", "volume_mm", "covariance_names", "covariance"),
+)
+#: Letters of an entry, and its likeness to one of ours, from which it is a slip of it; and its
+#: likeness where the device's name is misspelt.
+_LEAST_LETTERS, _LIKE, _ALMOST = 4, 0.72, 0.93
 
 #: Keys by the last word of the place that an error of the rig's own classes names.
 _KEYS = {
@@ -165,10 +184,45 @@ class _Values:
             return default
         matrix = self.array(rotation, (9,)).reshape(3, 3)
         offset = self.array(translation, (3,))
-        try:
-            return Pose(matrix.T, -matrix.T @ offset)
-        except InputError as error:
-            raise InputError(f"{self.path}: {rotation}", error.expected, error.got) from None
+        nearest, distance = nearest_rotation(matrix)
+        where = f"{self.path}: {rotation}"
+        if distance > _ROUNDED:
+            off = f"{distance:.2g} off the nearest rotation (in an element)"
+            expected = f"a rotation, to {_ROUNDED:g}"
+            raise InputError(where, expected, f"{matrix.tolist()}, {off}")
+        if distance > _COARSE:
+            turn = f"{distance:.1g} off a rotation, as if rounded: the nearest one is taken"
+            warn_user(where, f"{turn}, and rays may be off by {distance:.1g} rad")
+        matrix = nearest if distance > _EXACT else matrix
+        return Pose(matrix.T, -matrix.T @ offset)
+
+
+def _question_entries(values: _Values) -> None:
+    """Question entries that are almost one of ours; what else a program writes is its own."""
+    missing = [entry for entry in _ENTRIES if entry not in values.values]
+    for key in sorted(values.values.keys() - set(_ENTRIES)):
+        if missing and len(_parts(key)[0]) >= _LEAST_LETTERS:
+            entry = max(missing, key=lambda one: _likeness(key, one))
+            if _likeness(key, entry) >= _LIKE:
+                doubt = f"not an entry of a rig; did you mean {entry!r}?"
+                warn_user(f"{values.path}: {key}", doubt)
+
+
+def _likeness(key: str, entry: str) -> float:
+    """Return how much a key looks like an entry of ours, 0 to 1."""
+    (stem, device), (own, of) = _parts(key), _parts(entry)
+    if device == of:
+        return SequenceMatcher(None, stem, own).ratio()
+    if stem == own and "_" in stem:  # of the wrong device, or of none
+        return 1.0
+    whole = SequenceMatcher(None, key.lower(), entry).ratio()
+    return whole if whole >= _ALMOST else 0.0
+
+
+def _parts(key: str) -> tuple[str, str]:
+    """Return an entry's name without that of its device, and the device's ("" if none)."""
+    stem, _, device = key.lower().rpartition("_")
+    return (stem, device) if device in ALONE else (key.lower(), "")
 
 
 def _focus(values: _Values, name: str, aperture_mm: float, depth_mm: float | None) -> float:
@@ -264,12 +318,13 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
         aperture has no focus distance and nothing to be focused on.
     """
     values = _Values(path)
+    _question_entries(values)
     camera_pose = values.pose("R_world", "T_world", Pose())
     relative = values.pose("R", "T")  # projector in the camera's frame
     projector_pose = Pose(
         camera_pose.rotation @ relative.rotation, camera_pose.to_world(relative.position)
     )
-    volume = values.array("volume_mm", (3,), [60.0, 70.0, 30.0])
+    volume = values.array("volume_mm", (3,), VOLUME_MM)
     depths = (camera_pose.origin_depth, projector_pose.origin_depth)
     before = depths if min(depths) > LEAST_DEPTH_MM else (None, None)
     camera_arguments = _device_arguments(values, "camera", before[0]) | {

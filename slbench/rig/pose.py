@@ -50,6 +50,18 @@ def product(vectors: Array, matrix: Array) -> Array:
     return out.reshape(*vectors.shape[:-1], *matrix.shape[1:])
 
 
+def nearest_rotation(matrix: Array) -> tuple[Array, float]:
+    """Return the rotation nearest to a matrix (3, 3), and how far they are apart.
+
+    The nearest one in the Frobenius norm is ``U diag(1, 1, det(U V)) V`` with the singular value
+    decomposition ``U S V`` (Kabsch 1976).  The distance is the largest difference of an element:
+    half a unit of the last digit where a rotation was rounded.
+    """
+    u, _, v = np.linalg.svd(matrix)
+    rotation = u * [1.0, 1.0, np.sign(np.linalg.det(u @ v))] @ v
+    return rotation, float(np.abs(rotation - matrix).max())
+
+
 @dataclass(frozen=True, eq=False)
 class Pose:
     """Where a device or an object is: ``X_world = rotation @ X_local + position``.

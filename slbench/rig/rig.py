@@ -118,6 +118,9 @@ _SHOWN_DEVICES = 4
 #: Nearer to a device than this the origin is not before it but in its lens, mm.
 LEAST_DEPTH_MM = 1e-3
 
+#: Size of a measurement volume that nobody states.
+VOLUME_MM = (60.0, 70.0, 30.0)
+
 #: The names of a camera and a projector that have no others beside them.
 ALONE = Pair()
 
@@ -149,7 +152,7 @@ class Rig:
         self,
         cameras: Camera | Mapping[str, Camera],
         projectors: Projector | Mapping[str, Projector],
-        volume_mm: tuple[float, float, float] = (60.0, 70.0, 30.0),
+        volume_mm: tuple[float, float, float] = VOLUME_MM,
     ) -> None:
         if not isinstance(cameras, Mapping):
             cameras = {ALONE.camera: cameras}
@@ -261,7 +264,7 @@ class Rig:
         design: DesignVariables,
         camera: Camera,
         projector: Projector,
-        volume_mm: tuple[float, float, float] = (60.0, 70.0, 30.0),
+        volume_mm: tuple[float, float, float] = VOLUME_MM,
     ) -> Self:
         """Place `camera` and `projector` (their poses are replaced) by the design variables."""
         camera_pose, projector_pose = design.poses()

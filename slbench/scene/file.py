@@ -37,7 +37,7 @@ from slbench.detector.base import DEFAULT as DEFAULT_DETECTOR
 from slbench.detector.base import detector_of
 from slbench.patterns import PatternSequence, read_patterns
 from slbench.patterns.given import PatternsTable
-from slbench.rig import Camera, DesignVariables, Pose, Projector, Rig
+from slbench.rig import VOLUME_MM, Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.opencv import read_rig
 from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
 from slbench.scene.calibration import Calibration, read_calibration
@@ -51,7 +51,7 @@ from slbench.scene.changes import (
 )
 from slbench.scene.doubts import scene_doubts
 from slbench.scene.materials import PRESETS, Material
-from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject
+from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject, place_of
 from slbench.scene.tables import SceneTables
 
 #: Width of a preview where the scene states no divisor, px.
@@ -271,7 +271,7 @@ def _build(
         light=Light(file.light.ambient_w_per_m2 * 1e-6, file.light.bounces),
         samples=file.render.samples,
         specification=content,
-        focus=None if file.focus is None else file.focus.focus(rig),
+        focus=None if file.focus is None else file.focus.focus(rig, place_of(rig, scene_objects)),
         calibration=None
         if file.calibration is None
         else read_calibration(file.calibration, rig, path),
@@ -298,7 +298,8 @@ def _patterns(
 def _rig(file: SceneTables, folder: Path) -> Rig:
     values = file.rig
     if values.file is not None:
-        return read_rig(resources.inside(folder, values.file))
+        rig = read_rig(resources.inside(folder, values.file))
+        return rig if values.volume_mm is None else replace(rig, volume_mm=values.volume_mm)
     assert file.camera is not None  # both by _devices
     assert file.projector is not None
     if values.camera is not None and values.projector is not None:
@@ -321,7 +322,7 @@ def _rig(file: SceneTables, folder: Path) -> Rig:
             raise InputError(f"rig.{name}", "a device that faces the origin", "it faces away")
     camera = Camera(**file.camera.arguments(camera_focus), pose=poses[0])
     projector = Projector(**file.projector.arguments(projector_focus), pose=poses[1])
-    return Rig(camera, projector, values.volume_mm)
+    return Rig(camera, projector, values.volume_mm or VOLUME_MM)
 
 
 def _objects(file: SceneTables, path: Path) -> tuple[SceneObject, ...]:

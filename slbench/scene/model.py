@@ -6,7 +6,7 @@ people write one (:mod:`slbench.scene.file`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -259,15 +259,8 @@ class Scene(Value):
 
     @property
     def place(self) -> Pose:
-        """Where the measurement volume is, z towards the camera.
-
-        That is the world's frame.  Where its origin is not before the devices (the world is the
-        camera's frame) it is about the first object, turned as the camera is.
-        """
-        if self.rig.faces_origin:
-            return Pose()
-        camera = next(iter(self.rig.cameras.values())).pose
-        return Pose(camera.rotation * [1.0, -1.0, -1.0], self.objects[0].middle)
+        """Where the measurement volume is, z towards the camera (:func:`place_of`)."""
+        return place_of(self.rig, self.objects)
 
     @property
     def rigs(self) -> tuple[Rig, ...]:
@@ -325,3 +318,15 @@ class Scene(Value):
         return replace(
             self, calibration=made, specification=self.specification | {"calibration": table}
         )
+
+
+def place_of(rig: Rig, objects: Sequence[SceneObject]) -> Pose:
+    """Return where the measurement volume is, z towards the camera.
+
+    That is the world's frame.  Where its origin is not before the devices (the world is the
+    camera's frame) it is about the first object, turned as the camera is.
+    """
+    if rig.faces_origin:
+        return Pose()
+    camera = next(iter(rig.cameras.values())).pose
+    return Pose(camera.rotation * [1.0, -1.0, -1.0], objects[0].middle)

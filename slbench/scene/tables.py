@@ -33,7 +33,7 @@ from slbench.core.validation.types import (
     Vibration,
 )
 from slbench.patterns.given import PatternsTable
-from slbench.rig import Lens, Rig
+from slbench.rig import Lens, Pose, Rig
 
 
 class Optics(Parameters):
@@ -140,7 +140,7 @@ class RigTable(Parameters):
     camera: PlaceTable | None = None
     projector: PlaceTable | None = None
     file: str | None = None
-    volume_mm: tuple[Measure, Measure, Measure] = (60.0, 70.0, 30.0)
+    volume_mm: tuple[Measure, Measure, Measure] | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> RigTable:
@@ -228,15 +228,15 @@ class FocusTable(Parameters):
             raise ValueError("move and apart with heights_mm or settings only")
         return self
 
-    def focus(self, rig: Rig) -> Focus:
-        """Return the settings; a sweep in `settings` goes through the volume's height."""
+    def focus(self, rig: Rig, place: Pose) -> Focus:
+        """Return the settings; a sweep in `settings` goes through the height of the volume."""
         if self.settings is not None or self.heights_mm is not None:
             heights = self.heights_mm
             if heights is None:  # the middles of slices of the volume
                 count = self.settings or 1
                 slices = (np.arange(count) + 0.5) / count - 0.5
                 heights = tuple((rig.volume_mm[2] * slices).tolist())
-            return Focus.sweep(rig, heights, self.move, self.apart)
+            return Focus.sweep(rig, heights, self.move, self.apart, place)
         kept = rig.camera.lens.focus_distance_mm, rig.projector.lens.focus_distance_mm
         count = len(self.camera_mm or self.projector_mm or ())
         return Focus(

@@ -12,6 +12,7 @@ from slbench.design.fringes.trial import noise_of_scene
 from slbench.report.plots.draw import scene_picture
 from slbench.rig import Pose
 from slbench.rig.opencv import write_rig
+from slbench.scene.file import load_scene
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +82,61 @@ def test_the_commands_take_a_rig_s_file_without_a_world(scene, tmp_path):
         assert done.status == 0, done.err
     assert (out / "rig.png").is_file()
     assert (out / "n" / "single.csv").is_file()
+
+
+#: SLStudio's own example calibration, and a plane before it.
+SLSTUDIO = {
+    "K_camera": np.array([[2195.1204, 0.0, 843.5], [0.0, 2195.1204, 675.5], [0.0, 0.0, 1.0]]),
+    "dist_camera": np.array([-0.058035266, 0.0, 0.0, 0.0, 0.0]),
+    "size_camera": np.array([1688.0, 1352.0]),
+    "K_projector": np.array([[2601.5256, 0.0, 866.5415], [0.0, 2601.5256, 1109.1112], [0, 0, 1.0]]),
+    "dist_projector": np.array([-0.0314900056, 0.0, 0.0, 0.0, 0.0]),
+    "size_projector": np.array([1824.0, 1140.0]),
+    "R": np.array(
+        [
+            [0.96440231800079346, -0.12034615874290466, 0.23546750843524933],
+            [0.15343731641769409, 0.97988283634185791, -0.1276191771030426],
+            [-0.21537208557128906, 0.15920573472976685, 0.96346688270568848],
+        ]
+    ),
+    "T": np.array([-145.28256225585938, -36.498340606689453, 67.923164367675781]),
+}
+BEFORE_IT = """\
+name = "slstudio"
+preview = { divisor = 8, samples = 4 }
+rig = { file = "slstudio.yaml", volume_mm = [200.0, 200.0, 300.0] }
+patterns = { sequence = "1" }
+[[objects]]
+kind = "plane"
+parameters = { size_mm = [800.0, 800.0] }
+position_mm = [0.0, 0.0, 412.0]
+rotation_deg = [180.0, 0.0, 0.0]
+"""
+
+
+@pytest.fixture
+def published(tmp_path):
+    write_opencv_yaml(tmp_path / "slstudio.yaml", SLSTUDIO)
+    (tmp_path / "scene.toml").write_text(BEFORE_IT)
+    return tmp_path / "scene.toml"
+
+
+def test_a_volume_beside_a_rig_s_file_is_that_of_the_scan(published, tmp_path):
+    assert run_cli("scene", "show", published, "--out", tmp_path / "rig.png").status == 0
+    done = run_cli("scan", published, "--preview", "--out", tmp_path / "out")
+    assert done.status == 0, done.err
+    volume = read_opencv_yaml(tmp_path / "out" / "rig.yaml")["volume_mm"].ravel()
+    np.testing.assert_array_equal(volume, [200.0, 200.0, 300.0])
+
+
+def test_a_sweep_of_the_focus_is_about_the_object(published):
+    published.write_text("focus = { settings = 3 }\n" + BEFORE_IT)
+    scene = load_scene(published)
+    middle = scene.objects[0].middle
+    # Slices of a third of 300 mm, from the far one to the near one, along the camera's axis.
+    expected = middle + np.array([[0.0, 0.0, off] for off in (100.0, 0.0, -100.0)])
+    np.testing.assert_allclose(
+        scene.focus.distances_mm["camera"], [point[2] for point in expected], rtol=1e-12
+    )
+    depths = [scene.rig.projector.pose.to_local(point)[2] for point in expected]
+    np.testing.assert_allclose(scene.focus.distances_mm["projector"], depths, rtol=1e-12)

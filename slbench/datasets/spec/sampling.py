@@ -197,9 +197,9 @@ def _placed(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool
 def outside_volume(scene: Scene) -> bool:
     """Return whether the first object sticks out of the measurement volume."""
     item = scene.objects[0]
-    placed = item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
+    placed = scene.place.to_local(item.pose.to_world(item.artefact.mesh.vertices))
     half = 0.5 * np.array(scene.rig.volume_mm)
-    return bool(np.any(np.abs(placed.bounds) > half))
+    return bool(np.any(np.abs(placed) > half))
 
 
 def check(
