@@ -24,12 +24,13 @@ from numpy.typing import NDArray
 from slbench.capture.capture import CAPTURE_ENTRIES, Capture
 from slbench.capture.capture import MANIFEST as CAPTURE_MANIFEST
 from slbench.capture.focus import Focus
-from slbench.capture.fusion import Alignment, FusionWeights, align, selective_weights
+from slbench.capture.fusion import Alignment, FusionWeights, Stack, selective_weights
+from slbench.capture.fusion.exposure import Balanced, differ, frame_gains
 from slbench.capture.fusion.measures import check_window
-from slbench.capture.fusion.photographs import FusionMethod
+from slbench.capture.fusion.photographs import FusionMethod, undone
 from slbench.capture.fusion.stack import Banded, Held
 from slbench.capture.reading import FrameFile, allowed, check_alike, frame_files, shifted
-from slbench.core.errors import InputError, located
+from slbench.core.errors import InputError, located, warn_user
 from slbench.core.io import OutputFolder, read_toml, write_exr, write_toml
 from slbench.core.registry import quoted
 from slbench.core.show.display import block, brief
@@ -53,6 +54,8 @@ _FOCUS = "_mm"
 _BITS: Final = 16
 #: A fused pixel counts as saturated when this share of its weight is.
 _SATURATED_SHARE = 0.01
+#: Exposures of the settings that differ by more are worth a warning.
+_UNLIKE = 1.05
 #: Modulation that is nothing but rounding, DN: there all settings count alike.
 _DARK = 1e-6
 #: Side of the window in which the strongest setting is found, px.
@@ -199,7 +202,7 @@ class FocusStack:
             For a stack without the frames that are needed.
         """
         if source == "lit":
-            return selective_weights(self.lit(), **options)
+            return selective_weights(self.balanced(self.lit()), **options)
         if source != "modulation":
             raise InputError("weights", "lit or modulation", repr(source))
         return modulation_weights(self, **options)
@@ -211,13 +214,44 @@ class FocusStack:
         return self.fuse_with(self.weights(source, **options))
 
     def fuse_by(self, method: FusionMethod) -> FusedCapture:
-        """Fuse every pattern by the lit frames' weights of a method, aligned by them if it says."""
+        """Fuse every pattern by the lit frames' weights of a method, aligned by them if it says.
+
+        Warns
+        -----
+        InputWarning
+            If focusing has moved the frames and `method` leaves open what is to be done ("auto"):
+            aligned frames are what another camera would see, which a calibration must know.
+        """
         lit: Any = self.lit()
-        alignment = None
-        if method.motion is not None:
-            alignment = align(lit, motion=method.motion)
+        alignment = undone(lit, method.motion, "focus stack")
+        if alignment is not None and method.motion == "auto":
+            shift = alignment.shift_px(*lit[0].shape)
+            why = f"focusing moves them by up to {shift:.1f} px; --align magnification undoes it"
+            warn_user("focus stack: frames", why)
+            alignment = None
+        if alignment is not None:
             lit = alignment.apply(lit)
-        return self.fuse_with(method.weights(lit), alignment)
+        return self.fuse_with(method.weights(self.balanced(lit)), alignment)
+
+    def balanced(self, lit: Stack) -> Stack:
+        """Return lit frames of one exposure, so that no weight is of the exposure.
+
+        The other frames need none of it: a pixel's frames are all fused with the same weights,
+        and what a setting's exposure does to all of them alike changes no phase.
+
+        Warns
+        -----
+        InputWarning
+            If the exposures differ by more than five per cent.
+        """
+        gains = frame_gains(lit, len(self) // 2, 1.0)
+        if not differ(gains):
+            return lit
+        ratio = gains.max() / gains.min()
+        if ratio > _UNLIKE:
+            why = f"exposures differ by {100 * (ratio - 1):.0f} %: turn off automatic exposure"
+            warn_user("focus stack: lit frames", why)
+        return Balanced(lit, gains)
 
     def lit(self) -> Sequence[Array]:
         """Return the lit frames of all settings, full scale 1, read when they are asked for."""

@@ -42,7 +42,8 @@ def fused(*arguments):
 def test_grey_photographs(grey, tmp_path):
     out = tmp_path / "results" / "sharp.png"
     found = fused(grey, "--out", out)
-    names = ["sharp.png", "sharp-depth.exr", "sharp-selectivity.exr", "sharp-provenance.json"]
+    maps = ["sharp-depth.exr", "sharp-selectivity.exr"]
+    names = ["sharp.png", *maps, "sharp-summary.png", "sharp-provenance.json"]
     assert sorted(path.name for path in out.parent.iterdir()) == sorted(names)
     assert found["files"] == [str(out.parent / name) for name in names]
     assert (found["frames"], found["bit_depth"], found["channels"]) == (9, 8, 1)
@@ -86,7 +87,7 @@ def test_baselines(grey, tmp_path, method):
     assert found["method"] == method
     maps = [] if method == "pyramid" else ["a-depth.exr", "a-selectivity.exr"]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
-        ["a.png", "a-provenance.json", *maps]
+        ["a.png", "a-summary.png", "a-provenance.json", *maps]
     )
     assert psnr_db(read_grey(tmp_path / "a.png") / 255, PLANE.sharp()) > 32
 
@@ -118,11 +119,33 @@ def test_alignment_undoes_a_shift(tmp_path):
     found = fused(folder, "--out", tmp_path / "a.png", "--align", "translation")
     assert found["reference"] == 4
     assert found["least_correlation"] > 0.5
-    crooked = fused(folder, "--out", tmp_path / "b.png")
+    crooked = fused(folder, "--out", tmp_path / "b.png", "--align", "none")
     assert "reference" not in crooked
+    assert fused(folder, "--out", tmp_path / "c.png")["align"] == "magnification"
     truth = PLANE.sharp()[:, 4:92]
     aligned, plain = (psnr_db(read_grey(tmp_path / n) / 255, truth) for n in ("a.png", "b.png"))
     assert aligned > plain + 6.0
+
+
+def test_heights_and_points(grey, tmp_path):
+    out, scale = ("--out", tmp_path / "a.png"), ("--step-um", -50, "--pixel-um", 2)
+    found = fused(grey, *out, *scale)
+    names = {path.rpartition("/")[2] for path in found["files"]}
+    assert {"a-heights.exr", "a-points.ply"} < names
+    assert names == {path.name for path in tmp_path.iterdir()}
+    fused(grey, *out)  # those of the run before go
+    assert not (tmp_path / "a-points.ply").exists()
+    check_refused(run_cli("fuse", grey, *out, *scale[2:]), "--pixel-um", "--step-um")
+    check_refused(run_cli("fuse", grey, *out, "--step-um", 0), "--step-um", "other than 0")
+    check_refused(run_cli("fuse", grey, *out, *scale, "--method", "pyramid"), "map of focus")
+
+
+def test_pages_of_a_tiff(grey, tmp_path):
+    pages = [read_grey(path) for path in sorted(grey.iterdir(), key=lambda p: int(p.stem[4:]))]
+    assert cv2.imwritemulti(str(tmp_path / "stack.tif"), pages)
+    fused(tmp_path / "stack.tif", "--out", tmp_path / "a.png")
+    fused(grey, "--out", tmp_path / "b.png")
+    np.testing.assert_array_equal(read_grey(tmp_path / "a.png"), read_grey(tmp_path / "b.png"))
 
 
 def test_two_photographs(grey, tmp_path):
@@ -256,6 +279,40 @@ def test_a_stack_becomes_one_capture(stack, tmp_path, method):
     share = {"saf": 0.5, "maximum": 0.5, "pyramid": 0.7, "modulation": 1.0}[method]
     assert np.sqrt(np.mean((lit - sharp) ** 2)) < share * middle
     assert run_cli("decode", out).status == 0
+
+
+def test_the_exposure_of_a_setting_is_no_focus(stack, tmp_path):
+    """Frames of a brighter setting count no more; the phase is as from even exposures."""
+    even = tmp_path / "even"
+    assert run_cli("fuse", stack, "--out", even).status == 0
+    captures = [Capture.load(stack / f"focus{k:03d}") for k in range(5)]
+    gains = (1.0, 0.6, 0.9, 0.75, 1.1)
+    uneven = [
+        Capture(np.rint(gain * c.frames).astype(np.uint8), SEQUENCE)
+        for gain, c in zip(gains, captures, strict=True)
+    ]
+    FocusStack(uneven).save(tmp_path / "uneven")
+    done = run_cli("fuse", tmp_path / "uneven", "--out", tmp_path / "fused")
+    assert done.status == 0
+    assert "exposures differ by" in done.err
+    phases = [
+        Capture.load(folder).decode().coordinate["u"] for folder in (even, tmp_path / "fused")
+    ]
+    # Rounding of frames down to 0.6 of the range.
+    assert np.nanmedian(np.abs(phases[1] - phases[0])) < 0.02
+
+
+def test_frames_that_focusing_moves_are_warned_of(stack, tmp_path):
+    captures = [Capture.load(stack / f"focus{k:03d}") for k in range(5)]
+    moved = [
+        Capture(np.ascontiguousarray(c.frames[:, :, 2 * k : 2 * k + 88]), SEQUENCE)
+        for k, c in enumerate(captures)
+    ]
+    FocusStack(moved).save(tmp_path / "moved")
+    done = run_cli("fuse", tmp_path / "moved", "--out", tmp_path / "fused")
+    assert (done.status, "--align magnification" in done.err) == (0, True)
+    done = run_cli("fuse", stack, "--out", tmp_path / "still")
+    assert (done.status, done.err) == (0, "")
 
 
 def test_stacks_are_aligned_by_their_lit_frames(stack, tmp_path):

@@ -17,7 +17,7 @@ from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 
 FloatArray = NDArray[np.float64]
-Motion = Literal["translation", "affine", "homography"]
+Motion = Literal["translation", "magnification", "affine", "homography"]
 MOTIONS: tuple[str, ...] = get_args(Motion)
 
 _SIDE = 1024  # pixels: larger frames are reduced for the search; a million pixels say enough
@@ -25,6 +25,12 @@ _COARSE_SIDE = 256  # pixels: up to here a frame's search starts from its neighb
 _LEAST_CORRELATION = 0.3  # of frames that show the same; other frames correlate around 0
 _NODES = 6  # samples a direction that a frame is interpolated through
 _MOST_SHIFT = 0.25  # of the longer side: beyond, the search has run away
+#: Pixels, at the worst corner: less is as well left alone.  Of frames that stand still, blur that
+#: changes across the picture makes up to half a pixel, and to undo as much gains nothing.
+_LEAST_SHIFT = 0.6
+#: Share by which what does not correlate must fall at the least: a plain surface, or one with edges
+#: along one direction alone, correlates as well wherever it is.
+_LEAST_GAIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -46,6 +52,10 @@ class Alignment:
     reference: int
 
     __repr__ = brief
+
+    def shift_px(self, height: int, width: int) -> float:
+        """Return the largest motion of a corner of any frame of this size, pixels."""
+        return max(_shift(transform, height, width) for transform in self.transforms)
 
     def apply(self, stack: Stack) -> Stack:
         """Return a stack seen through the alignment.
@@ -215,8 +225,9 @@ def align(stack: Stack, reference: int | None = None, motion: Motion = "translat
         P frames (V, U); each is asked for twice.
     reference : int, optional
         The frame that stays; the middle one otherwise.
-    motion : {"translation", "affine", "homography"}
-        What may happen to a frame.  Magnification needs affine.
+    motion : {"translation", "magnification", "affine", "homography"}
+        What may happen to a frame.  Focusing shifts and magnifies; the three parameters of that
+        are biased least where the blur changes across the picture.
 
     Returns
     -------
@@ -282,7 +293,41 @@ def _search(
 
 
 def _near(transform: FloatArray, height: int, width: int) -> bool:
+    return _shift(transform, height, width) <= _MOST_SHIFT * max(height, width)
+
+
+def _shift(transform: FloatArray, height: int, width: int) -> float:
     corners = np.array([[0, 0, 1], [width, 0, 1], [0, height, 1], [width, height, 1.0]]).T
     moved = transform @ corners
-    shift = np.abs(moved[:2] / moved[2] - corners[:2]).max()
-    return bool(np.isfinite(shift) and shift <= _MOST_SHIFT * max(height, width))
+    shift = float(np.abs(moved[:2] / moved[2] - corners[:2]).max())
+    return shift if np.isfinite(shift) else np.inf
+
+
+def magnified(stack: Stack) -> Alignment | None:
+    """Find what focusing did to the frames of a stack, where it did anything.
+
+    Parameters
+    ----------
+    stack : Stack
+        P frames (V, U).
+
+    Returns
+    -------
+    Alignment or None
+        None where no corner of a frame has moved by more than 0.6 pixels, which gains nothing
+        to undo, or where frames correlate as well without.
+
+    Raises
+    ------
+    InputError
+        As :func:`align`.
+    """
+    found = align(stack, motion="magnification")
+    template = levels(np.asarray(stack[found.reference]), _SIDE)[-1].image
+    for p, transform in enumerate(found.transforms):
+        frame = np.asarray(stack[p])
+        if _shift(transform, *frame.shape) > _LEAST_SHIFT:
+            still = np.corrcoef(template.ravel(), levels(frame, _SIDE)[-1].image.ravel())[0, 1]
+            if 1.0 - found.correlation[p] < (1.0 - _LEAST_GAIN) * (1.0 - still):
+                return found
+    return None

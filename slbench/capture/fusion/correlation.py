@@ -28,8 +28,9 @@ _STILL = 1e-3  # pixels: a step that moves no corner by more is the last
 _LEAST_DEPTH = 0.1  # of a corner in perspective; what goes beyond has run away
 _LEAST_SHARE = 0.25  # of the template that must lie within the image
 _WORST_CONDITION = 1e10  # of H, scaled to a diagonal of 1: no texture in some direction
-#: Parameters of each motion: how often (x, y, 1) and the perspective terms come in.
-PARAMETERS = {"translation": 2, "affine": 6, "homography": 8}
+#: Parameters of each motion: of magnification the scale and the shift, of the larger ones how often
+#: (x, y, 1) and the perspective terms come in.
+PARAMETERS = {"translation": 2, "magnification": 3, "affine": 6, "homography": 8}
 
 
 @dataclass(frozen=True)
@@ -159,6 +160,10 @@ def _matrix(step: FloatArray) -> FloatArray:
     matrix = np.eye(3)
     if len(step) == 2:
         matrix[:2, 2] = step
+    elif len(step) == 3:
+        matrix[0, 0] += step[0]
+        matrix[1, 1] += step[0]
+        matrix[:2, 2] = step[1:]
     else:
         matrix[:2] += step[:6].reshape(2, 3)
         matrix[2, :2] = step[6:] if len(step) == 8 else 0.0
@@ -213,6 +218,8 @@ def _accumulate(template, image, moved, centre, reach, parameters, sums):  # typ
             gy = 0.5 * reach * (sv * du + tv * dv)
             if parameters == 2:
                 line[0, count], line[1, count] = gx, gy
+            elif parameters == 3:
+                line[0, count], line[1, count], line[2, count] = gx * x + gy * y, gx, gy
             else:
                 line[0, count], line[1, count], line[2, count] = gx * x, gx * y, gx
                 line[3, count], line[4, count], line[5, count] = gy * x, gy * y, gy

@@ -10,8 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.capture.fusion.align import Alignment, Motion, align
-from slbench.capture.fusion.folder import Luminance, Photographs
+from slbench.capture.fusion.align import Alignment, Motion, align, magnified
+from slbench.capture.fusion.exposure import Balanced, differ, frame_gains
+from slbench.capture.fusion.folder import Luminance, Photographs, luma
 from slbench.capture.fusion.measures import check_measure
 from slbench.capture.fusion.pyramid import PyramidSelection, pyramid_selection
 from slbench.capture.fusion.selective import (
@@ -24,10 +25,17 @@ from slbench.capture.fusion.selective import (
     selective_weights,
 )
 from slbench.capture.fusion.stack import Band, Banded, Kept, Stack, banded, frames
-from slbench.core.io import OutputFolder, files_beside, write_exr, write_png
+from slbench.core.errors import InputError, warn_user
+from slbench.core.io import OutputFolder, files_beside, write_exr, write_ply, write_png
 from slbench.core.show.document import Cell, Table
+from slbench.core.show.drawing import figure, write_figure
 
 Progress = Callable[[str, float, str], None]
+
+#: Names of a fused image's file: floats need EXR.
+IMAGES = (".png", ".exr")
+#: Exposures that differ by more are worth a warning where they are left as they are.
+_UNLIKE = 1.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +52,10 @@ class FusionMethod:
         Side of the measure's window, pixels, odd.
     variant : {"corrected", "published"}
         Of selective fusion.
-    motion : {"translation", "affine", "homography"} or None
-        Between the frames, to be undone first.
+    motion : {"auto", "translation", "magnification", "affine", "homography"} or None
+        Between the frames, to be undone first; "auto" is a magnification where there is one.
+    balance : bool
+        Whether frames of different exposure are brought to that of the middle one.
 
     Raises
     ------
@@ -57,7 +67,8 @@ class FusionMethod:
     measure: str = "variance"
     window: int = 9
     variant: Variant = "corrected"
-    motion: Motion | None = None
+    motion: Motion | Literal["auto"] | None = "auto"
+    balance: bool = True
 
     def __post_init__(self) -> None:
         check_measure(self.measure, self.window)
@@ -91,26 +102,53 @@ class FusionMethod:
         return selective_bands(grey, published=check_variant(self.variant, len(grey)), **options)
 
 
+@dataclass(frozen=True)
+class Scale:
+    """What heights and points are measured in.
+
+    Parameters
+    ----------
+    step_um : float
+        By how much the focus rises from frame to frame, towards the camera; may be negative.
+    pixel_um : float or None
+        Side of a pixel on the object.
+    """
+
+    step_um: float
+    pixel_um: float | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return its numbers, for provenance."""
+        return {"step_um": self.step_um, "pixel_um": self.pixel_um}
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FusedPhotographs:
     """Photographs fused into one image.
 
     Parameters
     ----------
-    pixels : (V, U) or (V, U, 3) uint8 or uint16
-        As deep as the photographs.
+    pixels : (V, U) or (V, U, 3) ndarray
+        Of the photographs' type.
+    before : (V, U) or (V, U, 3) ndarray
+        The photograph whose geometry and exposure the fusion has, the middle one.
     frames : int
         How many there were.
     method : FusionMethod
     alignment : Alignment or None
+        What was undone.
+    gains : (P,) ndarray of float64
+        Factors that bring the frames to the exposure of the middle one.
     focus, selectivity_db, noise_gain : (V, U) ndarray or None
         As :class:`~slbench.capture.fusion.FusionWeights` has them; none of pyramids.
     """
 
     pixels: NDArray[Any]
+    before: NDArray[Any]
     frames: int
     method: FusionMethod
     alignment: Alignment | None
+    gains: NDArray[np.float64]
     focus: NDArray[np.float64] | None = None
     selectivity_db: NDArray[np.float64] | None = None
     noise_gain: NDArray[np.float64] | None = None
@@ -125,30 +163,101 @@ class FusedPhotographs:
             "selectivity": self.selectivity_db.astype(np.float32),
         }
 
-    def files(self, path: Path) -> list[Path]:
-        """Return what :meth:`save` writes."""
-        maps = [f"{path.stem}-{name}.exr" for name in self.maps]
-        return [path, *map(path.with_name, [*maps, fused_output(path).provenance])]
+    def plot(self) -> Any:
+        """Return a matplotlib figure: before, after, and where each pixel is in focus."""
+        return figure(self)
 
-    def save(self, path: Path) -> None:
-        """Write the image (.png), and beside it an EXR a map and provenance; all or none."""
-        with fused_output(path).writing(path.parent, self.to_dict(), None) as temporary:
-            image, *maps, _ = self.files(temporary / path.name)
-            write_png(image, self.pixels)
-            for file, (name, values) in zip(maps, self.maps.items(), strict=True):
-                write_exr(file, {name: values})
+    def heights_mm(self, step_um: float) -> NDArray[np.float64]:
+        """Return heights by depth from focus, (V, U); NaN where nothing is in focus.
+
+        Parameters
+        ----------
+        step_um : float
+            By how much the focus rises from frame to frame, towards the camera; negative where
+            it falls.
+
+        Raises
+        ------
+        InputError
+            For a fusion without a map of focus.
+        """
+        if self.focus is None:
+            expected = "saf or maximum: a pyramid has no map of focus"
+            raise InputError("heights", expected, self.method.name)
+        return 1e-3 * step_um * self.focus
+
+    def files(self, path: Path, scale: Scale | None = None) -> list[Path]:
+        """Return what :meth:`save` writes, provenance last."""
+        names = [f"{path.stem}-{name}.exr" for name in self.maps]
+        if scale is not None:
+            names.append(f"{path.stem}-heights.exr")
+            names += [f"{path.stem}-points.ply"] if scale.pixel_um is not None else []
+        names += [f"{path.stem}-summary.png", fused_output(path).provenance]
+        return [path, *map(path.with_name, names)]
+
+    def save(self, path: Path, scale: Scale | None = None) -> None:
+        """Write the image, and beside it an EXR a map, a picture and provenance; all or none.
+
+        Parameters
+        ----------
+        path : Path
+            ``.png`` or ``.exr``; its name is that of the files beside it.
+        scale : Scale, optional
+            Heights too, and points where it has a pixel's size.
+
+        Raises
+        ------
+        InputError
+            If the type of the pixels is not one of the file's, or as :meth:`heights_mm`.
+        """
+        exr = path.suffix.lower() == ".exr"
+        if self.pixels.dtype.kind == "f" and not exr:
+            raise InputError(path, "a name that ends in .exr for photographs of floats", path.name)
+        parameters = self.to_dict() | ({} if scale is None else scale.to_dict())
+        with fused_output(path).writing(path.parent, parameters, None) as temporary:
+            if exr:
+                names = "Y" if self.pixels.ndim == 2 else "RGB"
+                layers = self.pixels.astype(np.float32).reshape(*self.pixels.shape[:2], -1)
+                channels = {name: layers[:, :, k] for k, name in enumerate(names)}
+                write_exr(temporary / path.name, channels)
+            else:
+                write_png(temporary / path.name, self.pixels)
+            for name, values in self.maps.items():
+                write_exr(temporary / f"{path.stem}-{name}.exr", {name: values})
+            if scale is not None:
+                heights = self.heights_mm(scale.step_um)
+                values = heights.astype(np.float32)
+                write_exr(temporary / f"{path.stem}-heights.exr", {"height": values})
+                if scale.pixel_um is not None:
+                    self._write_points(temporary / f"{path.stem}-points.ply", heights, scale)
+            write_figure(self, temporary / f"{path.stem}-summary.png")
+
+    def _write_points(self, path: Path, heights: NDArray[np.float64], scale: Scale) -> None:
+        """Write what is in focus somewhere as points: x right, y up, z towards the camera, mm."""
+        assert scale.pixel_um is not None
+        assert self.selectivity_db is not None
+        v, u = np.nonzero(np.isfinite(heights))
+        if u.size == 0:
+            raise InputError(path.name, "pixels with a focus peak", "none")
+        pitch = 1e-3 * scale.pixel_um
+        points = np.stack((pitch * u, -pitch * v, heights[v, u]), axis=1)
+        fields = {"grey": luma(self.pixels)[v, u], "selectivity": self.selectivity_db[v, u]}
+        write_ply(path, points, fields)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers of the whole, for JSON."""
         method, alignment = self.method, self.alignment
         result: dict[str, Any] = {
             "method": method.name,
-            "align": method.motion or "none",
+            "align": self._undone,
+            "balanced": method.balance and differ(self.gains),
+            "brightest_over_darkest": float(self.gains.max() / self.gains.min()),
             "frames": self.frames,
             "height_px": self.pixels.shape[0],
             "width_px": self.pixels.shape[1],
             "channels": 1 if self.pixels.ndim == 2 else 3,
             "bit_depth": 8 * self.pixels.dtype.itemsize,
+            "floats": self.pixels.dtype.kind == "f",
         }
         if alignment is not None:
             result["reference"] = alignment.reference
@@ -169,15 +278,27 @@ class FusedPhotographs:
             }
         return result
 
+    @property
+    def _undone(self) -> str:
+        """What motion was undone."""
+        if self.alignment is None:
+            return "none"
+        return "magnification" if self.method.motion == "auto" else str(self.method.motion)
+
     def table(self, seconds: float) -> Table:
         """Return the same for people, with the time that it took."""
         found = self.to_dict()
         colour = "grey" if found["channels"] == 1 else "colour"
         size = f"{found['width_px']} x {found['height_px']} px"
-        rows: list[tuple[Cell, ...]] = [("image", f"{size}, {colour}, {found['bit_depth']} bit")]
+        depth = f"{found['bit_depth']} bit" + (" floats" if found["floats"] else "")
+        rows: list[tuple[Cell, ...]] = [("image", f"{size}, {colour}, {depth}")]
         if "reference" in found:
             which = f"frame {found['reference']}, correlation {found['least_correlation']:.3f}"
             rows.append((f"aligned ({found['align']}) with", f"{which} or better"))
+        if differ(self.gains):
+            ratio = f"{found['brightest_over_darkest']:.2f}"
+            what = "balanced" if found["balanced"] else "not balanced"
+            rows.append(("exposure, brightest over darkest", f"{ratio}, {what}"))
         if "median_noise_gain" in found:
             selectivity = found["median_selectivity_db"]
             known = np.isfinite(selectivity)  # of fewer than five frames it is not
@@ -212,13 +333,23 @@ def fuse_photographs(
     images = list(frames(photographs, colour=True))
     grey: Any = Luminance(images)
     stack: Any = images
-    alignment = None
-    if method.motion is not None:
-        alignment = align(grey, motion=method.motion)
+    alignment = undone(grey, method.motion, "photographs")
+    if alignment is not None:
         grey, stack = alignment.apply(grey), alignment.apply(stack)
+    middle = len(images) // 2
+    whole = photographs.dtype.kind in "iu"
+    gains = frame_gains(grey, middle, np.iinfo(photographs.dtype).max if whole else np.inf)
+    if method.balance and differ(gains):
+        grey, stack = Balanced(grey, gains), Balanced(stack, gains)
+    elif gains.max() > _UNLIKE * gains.min():
+        share = f"{100 * (gains.max() / gains.min() - 1):.0f} %"
+        why = f"exposures differ by {share}, which shows as blotches; balance them"
+        warn_user("photographs", why)
     pixels = np.empty(photographs.shape, photographs.dtype)
     common: dict[str, Any] = {
         "pixels": pixels,
+        "before": images[middle],
+        "gains": gains,
         "frames": len(photographs),
         "method": method,
         "alignment": alignment,
@@ -240,8 +371,33 @@ def fuse_photographs(
     )
 
 
+def undone(grey: Stack, motion: Motion | Literal["auto"] | None, where: str) -> Alignment | None:
+    """Return the motion of a stack that is to be undone, None where there is none.
+
+    Parameters
+    ----------
+    grey : Stack
+    motion : {"auto", "translation", "magnification", "affine", "homography"} or None
+    where : str
+        What the stack is called in a warning, where "auto" finds no motion that explains it.
+    """
+    if motion is None or len(grey) < 2:
+        return None
+    if motion != "auto":
+        return align(grey, motion=motion)
+    try:
+        return magnified(grey)
+    except InputError as error:
+        why = f"could not be aligned and are fused as they are ({error.where}); other scenes?"
+        warn_user(where, why)
+        return None
+
+
 def _digitise(image: NDArray[np.float64], pixels: NDArray[Any]) -> None:
-    """Write an image as whole numbers of the pixels' type."""
+    """Write an image into pixels: as whole numbers, unless they are floats."""
+    if pixels.dtype.kind == "f":
+        pixels[...] = image
+        return
     pixels[...] = np.clip(np.rint(image), 0, np.iinfo(pixels.dtype).max)
 
 

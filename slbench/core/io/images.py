@@ -221,13 +221,7 @@ def read_frame(
         If the file is missing, corrupt, of another type, has no such page, or no colours where a
         channel is asked for.
     """
-    path = Path(path)
-    if path.suffix.lower() == ".exr":
-        image = _exr_frame(path)
-    elif path.suffix.lower() == ".npy":
-        image = _npy_frame(path)
-    else:
-        image = _decoded(path, page, _FRAMES)
+    image = _any_image(path, page)
     if channel is not None:
         if image.ndim == 2:
             raise InputError(f"{path}#{channel}", "a colour picture", "a grey one")
@@ -236,14 +230,23 @@ def read_frame(
     return _grey(image), bits
 
 
+def _any_image(path: str | Path, page: int) -> NDArray[Any]:
+    """Return the pixels of an image file, an EXR or an NPY as :func:`_decoded` does."""
+    suffix = Path(path).suffix.lower()
+    if suffix == ".exr":
+        return _exr_frame(Path(path))
+    return _npy_frame(Path(path)) if suffix == ".npy" else _decoded(path, page, _FRAMES)
+
+
 def _npy_frame(path: Path) -> NDArray[Any]:
-    """Return the array of an NPY file, in the machine's byte order."""
+    """Return the array of an NPY file, in the machine's byte order; of colours, blue first."""
     image = read_npy(path)
     native = image.dtype.newbyteorder("=")
-    if image.ndim != 2 or image.size == 0 or native not in _FRAMES:
-        got = describe(image)
-        raise InputError(path, "a (V, U) array of uint8, uint16, float32 or float64", got)
-    return np.ascontiguousarray(image, dtype=native)
+    colour = image.ndim == 3 and image.shape[2] == 3
+    if not (image.ndim == 2 or colour) or image.size == 0 or native not in _FRAMES:
+        expected = "a (V, U) or (V, U, 3) array of uint8, uint16, float32 or float64"
+        raise InputError(path, expected, describe(image))
+    return np.ascontiguousarray(image[:, :, ::-1] if colour else image, dtype=native)
 
 
 def _exr_frame(path: Path) -> NDArray[Any]:
@@ -285,8 +288,8 @@ def write_tiff(path: str | Path, image: ArrayLike) -> None:
     write_bytes(path, encoded.tobytes())
 
 
-def read_colour(path: str | Path) -> NDArray[Any]:
-    """Read an image (PNG, TIFF, BMP, JPEG, PGM) as it is, grey or colour, bit depth kept.
+def read_colour(path: str | Path, *, page: int = 0) -> NDArray[Any]:
+    """Read an image as it is, grey or colour, bit depth kept: what `read_frame` reads.
 
     Orientation tags are ignored: a camera's pixels stay where the sensor had them.
 
@@ -294,22 +297,25 @@ def read_colour(path: str | Path) -> NDArray[Any]:
     ----------
     path : str or Path
         The file.
+    page : int
+        Of a TIFF, from 0; previews are not counted.
 
     Returns
     -------
-    (V, U) or (V, U, 3) ndarray of uint8 or uint16
+    (V, U) or (V, U, 3) ndarray of uint8, uint16, float32 or float64
         Digital numbers; red, green, blue.
 
     Raises
     ------
     InputError
-        If the file is missing, corrupt, not of 8 or 16 bit, or has transparent pixels.  An
-        alpha channel that is opaque throughout says nothing and is dropped.
+        If the file is missing, corrupt, of another type, has no such page, or has transparent
+        pixels.  An alpha channel that is opaque throughout says nothing and is dropped.
     """
-    image = _decoded(path)
+    image = _any_image(path, page)
     if image.ndim == 2:
         return image
-    if image.shape[2] == 4 and image[:, :, 3].min() < np.iinfo(image.dtype).max:
+    opaque = 1.0 if image.dtype.kind == "f" else np.iinfo(image.dtype).max
+    if image.shape[2] == 4 and image[:, :, 3].min() < opaque:
         raise InputError(path, "an image without transparency", "one with transparent pixels")
     return np.ascontiguousarray(image[:, :, 2::-1])  # OpenCV has blue first
 

@@ -9,6 +9,7 @@ DRAWERS: dict[str, str] = {
     "slbench.patterns.sequence:PatternSequence": "slbench.report.plots.stream:patterns",
     "slbench.capture.capture:Capture": "slbench.report.plots.stream:frames",
     "slbench.capture.stack:FocusStack": "slbench.report.plots.stream:stack",
+    "slbench.capture.fusion.photographs:FusedPhotographs": "slbench.report.plots.stream:fused",
     "slbench.patterns.decode:PhaseMap": "slbench.report.plots.stream:phase_map",
     "slbench.cloud.triangulation:PointCloud": "slbench.report.plots.stream:cloud",
     "slbench.simulate.scan:Scan": "slbench.report.plots.scan:summary",

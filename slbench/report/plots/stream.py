@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture
+from slbench.capture.fusion.photographs import FusedPhotographs
 from slbench.capture.stack import FocusStack
 from slbench.cloud.triangulation import PointCloud
 from slbench.patterns import Axis, PatternSequence, PhaseMap
@@ -103,6 +104,39 @@ def stack(stack: FocusStack) -> Figure:
         named.append(("\n".join([f"setting {k}", *focus]), stack.frame(k, index)))
     figure = _grid(named)
     figure.suptitle(f"Frame {index} of {len(stack)} focus settings")
+    return figure
+
+
+def fused(fusion: FusedPhotographs) -> Figure:
+    """Draw the middle photograph, the fusion of all, and where each pixel is in focus.
+
+    Parameters
+    ----------
+    fusion : FusedPhotographs
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    count = 2 if fusion.focus is None else 3
+    height, width = fusion.pixels.shape[:2]
+    size = (5.0 * count, 0.9 + 5.0 * min(height / width, 3.0))
+    figure = Figure(figsize=size, dpi=100, layout="constrained")
+    places = np.ravel(figure.subplots(1, count))
+    # One scale for both: what differs between them is the fusion's doing.
+    low, high = float(fusion.before.min()), float(fusion.before.max())
+    span = max(high - low, 1e-12)
+    title = f"Before: frame {fusion.frames // 2} of {fusion.frames}"
+    pairs = ((fusion.before, title), (fusion.pixels, f"After: {fusion.method.name}"))
+    for axes, (image, name) in zip(places, pairs, strict=False):
+        shown = np.clip((image.astype(np.float64) - low) / span, 0.0, 1.0)
+        axes.imshow(shown, cmap="gray", vmin=0.0, vmax=1.0)
+        axes.set_title(name)
+        axes.set_xlabel("u / px")
+        axes.set_ylabel("v / px")
+    if fusion.focus is not None:
+        title = "In focus between the frames"
+        draw_image(places[2], fusion.focus, title, "viridis", "frame", robust=1.0)
     return figure
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from slbench.capture.fusion import Photographs
 from slbench.core.errors import InputError
-from slbench.core.io import read_colour, write_png
+from slbench.core.io import read_colour, write_exr, write_png
 
 RNG = np.random.default_rng(0)
 
@@ -17,7 +17,7 @@ def test_natural_order_and_what_is_passed_over(tmp_path):
         (tmp_path / name).write_bytes(cv2.imencode(".png", image)[1].tobytes())
     (tmp_path / "notes.txt").write_text("focus by hand")
     found = Photographs.open(tmp_path)
-    assert [path.name for path in found.files] == ["a7.png", "F1.PNG", "f2.png", "f10.png"]
+    assert [path.name for path, _ in found.files] == ["a7.png", "F1.PNG", "f2.png", "f10.png"]
 
 
 @pytest.mark.parametrize("suffix", [".png", ".tif", ".tiff"])
@@ -35,6 +35,41 @@ def test_pixels_are_kept(tmp_path, suffix, dtype, shape):
     assert len(grey) == 2
     expected = images if len(shape) == 2 else images @ np.array([0.299, 0.587, 0.114])
     np.testing.assert_allclose([grey[0], grey[1]], expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", [".bmp", ".pgm", ".npy", ".exr"])
+def test_other_kinds(tmp_path, suffix):
+    images = RNG.integers(0, 256, (2, 6, 7), dtype=np.uint8)
+    for k, image in enumerate(images):
+        path = tmp_path / f"{k}{suffix}"
+        if suffix == ".npy":
+            np.save(path, image)
+        elif suffix == ".exr":
+            write_exr(path, {"Y": image.astype(np.float32)})
+        else:
+            assert cv2.imwrite(str(path), image)
+    np.testing.assert_array_equal(list(Photographs.open(tmp_path)), images)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".exr"])
+def test_colours_of_floats(tmp_path, suffix):
+    images = RNG.random((2, 6, 7, 3), dtype=np.float32)
+    for k, image in enumerate(images):
+        path = tmp_path / f"{k}{suffix}"
+        if suffix == ".npy":
+            np.save(path, image)
+        else:
+            write_exr(path, {name: image[:, :, c] for c, name in enumerate("RGB")})
+    np.testing.assert_array_equal(list(Photographs.open(tmp_path)), images)
+
+
+@pytest.mark.parametrize("of_a_folder", [False, True])
+def test_every_page_of_a_tiff_is_a_photograph(tmp_path, of_a_folder):
+    pages = RNG.integers(0, 65536, (3, 6, 7, 3), dtype=np.uint16)
+    path = tmp_path / "stack.tif"
+    assert cv2.imwritemulti(str(path), [page[:, :, ::-1] for page in pages])
+    found = Photographs.open(tmp_path if of_a_folder else path)
+    np.testing.assert_array_equal(list(found), pages)
 
 
 def test_alpha(tmp_path):
@@ -56,8 +91,8 @@ def test_bad_folders(tmp_path):
     write_png(tmp_path / "0.png", np.zeros((4, 5), dtype=np.uint8))
     with pytest.raises(InputError, match="at least 2"):
         Photographs.open(tmp_path)
-    with pytest.raises(InputError, match="a file"):
-        Photographs.open(tmp_path / "0.png")
+    with pytest.raises(InputError, match="at least 2"):
+        Photographs.open(tmp_path / "0.png")  # one page
     for other in (
         np.zeros((4, 6), dtype=np.uint8),
         np.zeros((4, 5), dtype=np.uint16),
