@@ -50,6 +50,7 @@ SECTIONS = {
         "dataset": "slbench.cli.dataset:group",
     },
     "Inspect": {
+        "rig": "slbench.cli.rig:group",
         "scene": "slbench.cli.scene:group",
         "objects": "slbench.cli.objects:group",
         "export": "slbench.cli.scene.export:export",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -91,6 +92,20 @@ def load_changed(
     except InputError as error:
         where = error.where.replace("measured_with", "--measured-with", 1)
         raise InputError(where, error.expected, error.got) from None
+
+
+def size_of(text: str, option: str) -> tuple[int, int]:
+    """Return the width and the height that an option states as 1280x800.
+
+    Raises
+    ------
+    InputError
+        Naming the option.
+    """
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
+    if match is None:
+        raise InputError(option, "a width and a height, such as 1280x800", text)
+    return int(match[1]), int(match[2])
 
 
 def listed(text: str, registry: Registry[Any], option: str) -> list[str]:

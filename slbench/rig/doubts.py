@@ -11,6 +11,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from slbench.core.show.display import length
+from slbench.rig.axes import closest_axes
 from slbench.rig.device import Camera, Device
 from slbench.rig.distortion import fold_radius
 from slbench.rig.rig import Rig
@@ -85,16 +86,8 @@ def baseline_doubt(rig: Rig) -> str | None:
 
 def _crossing_mm(rig: Rig) -> float:
     """Return how far before the lenses the axes come closest; infinite where they do not."""
-    camera, projector = rig.camera.pose, rig.projector.pose
-    a, b = camera.rotation[:, 2], projector.rotation[:, 2]
-    apart = projector.position - camera.position
-    cosine = float(a @ b)
-    sine2 = 1.0 - cosine**2
-    if sine2 < 1e-6:
-        return float("inf")
-    along_a = float(apart @ (a - cosine * b)) / sine2
-    along_b = float(apart @ (cosine * a - b)) / sine2
-    return max(along_a, along_b) if min(along_a, along_b) > 0 else float("inf")
+    closest = closest_axes(rig.camera.pose, rig.projector.pose)
+    return float("inf") if closest is None else max(closest.camera_mm, closest.projector_mm)
 
 
 def principal_point_doubt(camera: Camera) -> str | None:

@@ -19,7 +19,7 @@ it is not where the world is the camera's frame.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -28,21 +28,18 @@ from typing import Any
 import numpy as np
 
 from slbench.core.errors import InputError, warn_user
-from slbench.core.io import OtherEntry, read_opencv_yaml, write_opencv_yaml
+from slbench.core.io import OtherEntry, write_opencv_yaml
 from slbench.rig.device import Camera, Projector
 from slbench.rig.doubts import rig_doubts
+from slbench.rig.files.entries import Entries, Stated, rig_entries
 from slbench.rig.lens import Lens
 from slbench.rig.parameters import ParameterCovariance
-from slbench.rig.pose import Pose, nearest_rotation
+from slbench.rig.pose import Pose, checked_rotation
 from slbench.rig.rig import ALONE, LEAST_DEPTH_MM, VOLUME_MM, Pair, Rig
 
 #: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel
 #: depend on it; rays do not.
 _NOMINAL_PITCH_UM = 5.0
-
-#: Distances of a matrix from a rotation, in an element: what double precision leaves, what is worth
-#: a word (0.02 px at a focal length of 2000), and the most that rounding in print does.
-_EXACT, _COARSE, _ROUNDED = 1e-12, 1e-5, 1e-3
 
 #: Entries that a file may have, without the name of a device; those of one device alone.
 _OF_DEVICES = (
@@ -83,14 +80,14 @@ _KEYS = {
 
 
 @contextmanager
-def _blaming_the_file(path: str | Path, name: str) -> Iterator[None]:
+def _blaming_the_file(values: _Values, name: str) -> Iterator[None]:
     """Turn errors of the rig's own classes into errors that name the file and the key."""
     try:
         yield
     except InputError as error:
         field = error.where.split()[-1].partition("[")[0]
         key = _KEYS.get(field, field).format(name)
-        raise InputError(f"{path}: {key}", error.expected, error.got) from None
+        raise InputError(values.place(key), error.expected, error.got) from None
 
 
 def write_rig(path: str | Path, rig: Rig, covariance: ParameterCovariance | None = None) -> None:
@@ -143,30 +140,31 @@ def write_rig(path: str | Path, rig: Rig, covariance: ParameterCovariance | None
 
 
 class _Values:
-    """Checked access to a YAML file's values; every failure names the file and the key."""
+    """Checked access to a file's entries; every failure names the file and the key."""
 
-    def __init__(self, path: str | Path) -> None:
-        self.path = path
-        self.values = read_opencv_yaml(path)
+    def __init__(self, entries: Entries) -> None:
+        self.path = entries.path
+        self.values = entries.values
+        self.place = entries.place
 
     def array(self, key: str, shapes: tuple[int, ...], default: Any = None) -> np.ndarray:
         """Return a finite float vector whose length is one of `shapes`."""
         value = self.values.get(key, default)
         if value is None:
-            raise InputError(f"{self.path}: {key}", "this key to be present", "nothing")
+            raise InputError(self.place(key), "this key to be present", "nothing")
         try:
             flat = np.asarray(value, dtype=np.float64).ravel()
         except (TypeError, ValueError):
-            raise InputError(f"{self.path}: {key}", "numbers", repr(value)) from None
+            raise InputError(self.place(key), "numbers", repr(value)) from None
         if flat.size not in shapes or not np.all(np.isfinite(flat)):
             sizes = " or ".join(map(str, shapes))
-            raise InputError(f"{self.path}: {key}", f"{sizes} finite numbers", f"{flat.tolist()}")
+            raise InputError(self.place(key), f"{sizes} finite numbers", f"{flat.tolist()}")
         return flat
 
     def text(self, key: str, default: str) -> str:
         value = self.values.get(key, default)
         if isinstance(value, OtherEntry):
-            raise InputError(f"{self.path}: {key}", "a text", repr(value))
+            raise InputError(self.place(key), "a text", repr(value))
         return str(value)
 
     def number(self, key: str, default: float) -> float:
@@ -175,7 +173,7 @@ class _Values:
     def whole(self, key: str, default: int) -> int:
         value = self.number(key, default)
         if not value.is_integer():
-            raise InputError(f"{self.path}: {key}", "a whole number", value)
+            raise InputError(self.place(key), "a whole number", value)
         return int(value)
 
     def pose(self, rotation: str, translation: str, default: Pose | None = None) -> Pose:
@@ -184,16 +182,7 @@ class _Values:
             return default
         matrix = self.array(rotation, (9,)).reshape(3, 3)
         offset = self.array(translation, (3,))
-        nearest, distance = nearest_rotation(matrix)
-        where = f"{self.path}: {rotation}"
-        if distance > _ROUNDED:
-            off = f"{distance:.2g} off the nearest rotation (in an element)"
-            expected = f"a rotation, to {_ROUNDED:g}"
-            raise InputError(where, expected, f"{matrix.tolist()}, {off}")
-        if distance > _COARSE:
-            turn = f"{distance:.1g} off a rotation, as if rounded: the nearest one is taken"
-            warn_user(where, f"{turn}, and rays may be off by {distance:.1g} rad")
-        matrix = nearest if distance > _EXACT else matrix
+        matrix = checked_rotation(matrix, self.place(rotation))
         return Pose(matrix.T, -matrix.T @ offset)
 
 
@@ -238,7 +227,7 @@ def _focus(values: _Values, name: str, aperture_mm: float, depth_mm: float | Non
         return np.inf
     if depth_mm is None:
         why = "none is stated and the world's origin is not before both devices"
-        warn_user(f"{values.path}: {key}", f"{why}: the {name} is in focus at infinity")
+        warn_user(values.place(key), f"{why}: the {name} is in focus at infinity")
         return np.inf
     return depth_mm
 
@@ -248,7 +237,7 @@ def _device_arguments(values: _Values, name: str, depth_mm: float | None) -> dic
     fixed = matrix[[0, 1, 2, 2, 2], [1, 0, 0, 1, 2]]
     if np.any(fixed != [0.0, 0.0, 0.0, 0.0, 1.0]) or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
         raise InputError(
-            f"{values.path}: K_{name}",
+            values.place(f"K_{name}"),
             "fx 0 cx, 0 fy cy, 0 0 1 with positive focal lengths and no skew",
             matrix.tolist(),
         )
@@ -259,20 +248,20 @@ def _device_arguments(values: _Values, name: str, depth_mm: float | None) -> dic
     distortion = values.array(f"dist_{name}", (4, 5, 8, 12, 14), np.zeros(5))
     if distortion.size > 5 and np.any(distortion[5:12]):
         raise InputError(
-            f"{values.path}: dist_{name}",
+            values.place(f"dist_{name}"),
             "k1, k2, p1, p2, k3 and a sensor tilt only",
             "rational or thin-prism coefficients",
         )
     width, height = values.array(f"size_{name}", (2,))
     if not (width.is_integer() and height.is_integer()):
-        raise InputError(f"{values.path}: size_{name}", "whole numbers", f"{width} x {height}")
+        raise InputError(values.place(f"size_{name}"), "whole numbers", f"{width} x {height}")
     kind = values.text(f"lens_{name}", "perspective")
     aperture = values.number(f"aperture_radius_mm_{name}", 0.0)
     focus = _focus(values, name, aperture, depth_mm)
     vignetting = values.number(f"natural_vignetting_{name}", 1)
     if vignetting not in (0, 1):
-        raise InputError(f"{values.path}: natural_vignetting_{name}", "0 or 1", vignetting)
-    with _blaming_the_file(values.path, name):
+        raise InputError(values.place(f"natural_vignetting_{name}"), "0 or 1", vignetting)
+    with _blaming_the_file(values, name):
         lens = Lens(
             float(focal),
             aperture,
@@ -297,14 +286,19 @@ def _device_arguments(values: _Values, name: str, depth_mm: float | None) -> dic
     }
 
 
-def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
-    """Read a rig from OpenCV YAML, ours or any calibration with the keys above.
+def read_rig(
+    paths: str | Path | Sequence[str | Path], names: Pair = ALONE, stated: Stated | None = None
+) -> Rig:
+    """Read a rig: ours, with the entries above, or a calibration that another program wrote.
 
     Parameters
     ----------
-    path : path
+    paths : path, or sequence of paths
+        More than one where a program writes several (:mod:`slbench.rig.files`).
     names : Pair
         Of devices that the file does not name.
+    stated : Stated, optional
+        What another program's file does not say: a unit, sizes, which device is which.
 
     Raises
     ------
@@ -317,8 +311,14 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
         If lengths are a thousand times off, the principal point is that of other frames, or an
         aperture has no focus distance and nothing to be focused on.
     """
-    values = _Values(path)
-    _question_entries(values)
+    return rig_of(rig_entries(paths, stated), names)
+
+
+def rig_of(entries: Entries, names: Pair = ALONE) -> Rig:
+    """Return the rig of a file's entries; see :func:`read_rig`."""
+    values = _Values(entries)
+    if entries.format == "slbench":
+        _question_entries(values)
     camera_pose = values.pose("R_world", "T_world", Pose())
     relative = values.pose("R", "T")  # projector in the camera's frame
     projector_pose = Pose(
@@ -335,13 +335,13 @@ def read_rig(path: str | Path, names: Pair = ALONE) -> Rig:
         "bit_depth": values.whole("bit_depth_projector", 8) or None,
         "gamma": values.number("gamma_projector", 1.0),
     }
-    with _blaming_the_file(path, "camera"):
+    with _blaming_the_file(values, "camera"):
         camera = Camera(**camera_arguments, pose=camera_pose)
-    with _blaming_the_file(path, "projector"):
+    with _blaming_the_file(values, "projector"):
         projector = Projector(**projector_arguments, pose=projector_pose)
         own = Pair(*(values.text(f"name_{role}", name) for role, name in names._asdict().items()))
         size = (float(volume[0]), float(volume[1]), float(volume[2]))
         rig = Rig({own.camera: camera}, {own.projector: projector}, size)
     for what, doubt in rig_doubts(rig):
-        warn_user(f"{path}: {what}", doubt)
+        warn_user(f"{values.path}: {what}", doubt)
     return rig

@@ -28,11 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
-from slbench.core.io import read_json, read_opencv_yaml, write_json
+from slbench.core.io import read_json, write_json
 from slbench.core.random import generator
 from slbench.core.registry import quoted
 from slbench.core.show.display import brief
 from slbench.rig.device import Camera, Projector
+from slbench.rig.files.source import Source
 from slbench.rig.pose import Pose
 from slbench.rig.rig import Rig
 
@@ -145,7 +146,7 @@ def covariance_beside(path: str | Path) -> ParameterCovariance | None:
     InputError
         Naming the file and what is not known or no covariance.
     """
-    values = read_opencv_yaml(path)
+    values = Source(path).storage
     names, matrix = values.get("covariance_names"), values.get("covariance")
     if names is None and matrix is None:
         return None

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.show.display import numbers
 
 Array = NDArray[np.float64]
@@ -60,6 +60,37 @@ def nearest_rotation(matrix: Array) -> tuple[Array, float]:
     u, _, v = np.linalg.svd(matrix)
     rotation = u * [1.0, 1.0, np.sign(np.linalg.det(u @ v))] @ v
     return rotation, float(np.abs(rotation - matrix).max())
+
+
+#: Distances of a matrix from a rotation, in an element: what double precision leaves, what is worth
+#: a word (0.02 px at a focal length of 2000), and the most that rounding in print does.
+_EXACT, _COARSE, _ROUNDED = 1e-12, 1e-5, 1e-3
+
+
+def checked_rotation(matrix: Array, where: str) -> Array:
+    """Return the rotation that a program wrote, with few digits perhaps: the nearest one.
+
+    Raises
+    ------
+    InputError
+        Beyond what rounding does, with the matrix as it stands and its distance.
+
+    Warns
+    -----
+    InputWarning
+        Where rounding turns rays by what a camera sees.
+    """
+    expected = f"a rotation, to {_ROUNDED:g}"
+    if not np.isfinite(matrix).all():
+        raise InputError(where, expected, matrix.tolist())
+    nearest, distance = nearest_rotation(matrix)
+    if distance > _ROUNDED:
+        off = f"{distance:.2g} off the nearest rotation (in an element)"
+        raise InputError(where, expected, f"{matrix.tolist()}, {off}")
+    if distance > _COARSE:
+        turn = f"{distance:.1g} off a rotation, as if rounded: the nearest one is taken"
+        warn_user(where, f"{turn}, and rays may be off by {distance:.1g} rad")
+    return nearest if distance > _EXACT else matrix
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, numbers
+from slbench.core.show.drawing import figure
 from slbench.core.validation.types import Coordinate, Measure
 from slbench.core.validation.values import Value
 from slbench.rig.device import Camera, Device, Projector
@@ -282,6 +283,10 @@ class Rig:
             *(f"{name}: {self.devices[name]!r}" for name in names[:_SHOWN_DEVICES]),
             more,
         )
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: devices and volume to scale, from the front and the side."""
+        return figure(self)
 
     @property
     def camera_distance(self) -> float:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from slbench.core import resources
 from slbench.core.show.display import length
+from slbench.core.units import MILLIMETRES
 from slbench.detector import Detector
 from slbench.objects import Mesh
 from slbench.rig import Rig
@@ -94,9 +95,6 @@ def fitting_unit(item: SceneObject, rig: Rig) -> str | None:
     parameters = item.artefact.parameters
     if item.artefact.kind != "mesh" or "unit" not in parameters:
         return None
-    # The table of units stands beside the reader of meshes, which a mesh has loaded.
-    from slbench.objects.mesh.file import MILLIMETRES
-
     field = _reference_field(item, rig)
     if field is None:
         return None

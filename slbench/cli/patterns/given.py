@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from slbench.core.errors import InputError
+from slbench.cli.common import size_of
 
 if TYPE_CHECKING:
     from slbench.patterns import PatternSequence
@@ -39,10 +38,7 @@ def sequence_of(text: str, panel: str | None, axes: str, allow_modules: bool) ->
     """
     from slbench.patterns import read_patterns
 
-    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", panel or "640x480")
-    if match is None:
-        raise InputError("--panel", "a width and a height, such as 1280x800", panel)
-    size = int(match[1]), int(match[2])
+    size = size_of(panel or "640x480", "--panel")
     return read_patterns(
         text, size, axes=axes, allow_modules=allow_modules, keep_panel=panel is None
     ).sequence

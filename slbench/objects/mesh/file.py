@@ -19,13 +19,12 @@ from slbench.core import resources
 from slbench.core.errors import InputError, warn_user
 from slbench.core.io.arrays import check_ply
 from slbench.core.io.bounds import check_size, check_unpacked
+from slbench.core.units import MILLIMETRES
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import MinLen
 from slbench.objects.artefact import Artefact, Mesh
 from slbench.objects.registry import ArtefactKind
 
-#: Millimetres in one of each unit.
-MILLIMETRES = {"um": 1e-3, "mm": 1.0, "cm": 10.0, "inch": 25.4, "m": 1000.0}
 #: Of files that are read; archives are not, whatever is in them.
 SUFFIXES = (".stl", ".ply", ".obj", ".off", ".glb", ".gltf", ".step", ".stp")
 #: Bytes of a file.

@@ -6,6 +6,7 @@ type here: the value does not import how it is drawn.
 
 #: Type of the value -> function that draws it into a matplotlib figure, by dotted names.
 DRAWERS: dict[str, str] = {
+    "slbench.rig.rig:Rig": "slbench.report.plots.draw:rig_figure",
     "slbench.patterns.sequence:PatternSequence": "slbench.report.plots.stream:patterns",
     "slbench.capture.capture:Capture": "slbench.report.plots.stream:frames",
     "slbench.capture.stack:FocusStack": "slbench.report.plots.stream:stack",

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from slbench.core.io import atomic_path
 from slbench.objects import Artefact
 from slbench.rig import Pose, Rig, box_corners
+from slbench.rig.axes import volume_place
 from slbench.scene.model import Scene, SceneObject
 
 
@@ -97,24 +98,46 @@ def scene_picture(scene: Scene, view: NDArray[np.float32], path: str | Path) -> 
     """
     figure = Figure(figsize=(14.0, 6.0), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
-    front, side, picture = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.2])
-    for axes, across, title in ((front, 0, "front: x, z"), (side, 1, "side: y, z")):
-        draw_rig(axes, scene.rig, scene.objects, across, scene.place)
-        axes.set_title(title)
-    figure.legend(*front.get_legend_handles_labels(), fontsize=9, loc="outside lower left", ncols=3)
+    *views, picture = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.2])
+    _draw_views(figure, views, scene.rig, scene.objects, scene.place)
     bright = max(float(np.percentile(view, 99.5)), 1e-30)
     draw_image(picture, view / bright, "camera's view, panel white", "gray", "", limits=(0.0, 1.0))
+    figure.suptitle(f"{scene.name}: {_distances(scene.rig, scene.place)}")
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png")
+
+
+def rig_figure(rig: Rig) -> Figure:
+    """Draw a rig without objects, to scale from the front and from the side.
+
+    Its volume is where :func:`slbench.rig.axes.volume_place` puts it.
+    """
+    figure = Figure(figsize=(10.0, 6.0), dpi=100, layout="constrained")
+    FigureCanvasAgg(figure)
+    place = volume_place(rig)
+    _draw_views(figure, figure.subplots(1, 2), rig, (), place)
+    figure.suptitle(_distances(rig, place))
+    return figure
+
+
+def _draw_views(
+    figure: Figure, views: Sequence[Any], rig: Rig, objects: Sequence[SceneObject], place: Pose
+) -> None:
+    front, side = views
+    for axes, across, title in ((front, 0, "front: x, z"), (side, 1, "side: y, z")):
+        draw_rig(axes, rig, objects, across, place)
+        axes.set_title(title)
+    figure.legend(*front.get_legend_handles_labels(), fontsize=9, loc="outside lower left", ncols=3)
+
+
+def _distances(rig: Rig, place: Pose) -> str:
+    """Return how far the devices are from a place, and the angle that they make there."""
     camera, projector = (
-        device.pose.position - scene.place.position
-        for device in (scene.rig.camera, scene.rig.projector)
+        device.pose.position - place.position for device in (rig.camera, rig.projector)
     )
     far, long = np.linalg.norm(camera), np.linalg.norm(projector)
     angle = np.rad2deg(np.arccos(np.clip(camera @ projector / (far * long), -1.0, 1.0)))
-    figure.suptitle(
-        f"{scene.name}: camera {far:.4g} mm, projector {long:.4g} mm, angle {angle:.1f}°"
-    )
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, format="png")
+    return f"camera {far:.4g} mm, projector {long:.4g} mm, angle {angle:.1f}°"
 
 
 def draw_rig(

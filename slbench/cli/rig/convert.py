@@ -1,0 +1,74 @@
+"""``slbench rig convert``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slbench.cli.common import Json, print_json
+from slbench.cli.lazy import command
+from slbench.cli.rig.given import (
+    FirstPixel,
+    Order,
+    PitchCamera,
+    PitchProjector,
+    SizeCamera,
+    SizeProjector,
+    Unit,
+    stated_of,
+)
+from slbench.core.errors import InputError
+
+
+@command("slbench rig convert stereo.yml rig.yaml --unit mm --size-projector 1280x800")
+def convert(
+    files: Annotated[
+        list[Path],
+        typer.Argument(help="One file or more of a rig, and at last the file to write (.yaml)."),
+    ],
+    unit: Unit = None,
+    order: Order = None,
+    size_camera: SizeCamera = None,
+    size_projector: SizeProjector = None,
+    pitch_camera: PitchCamera = None,
+    pitch_projector: PitchProjector = None,
+    first_pixel: FirstPixel = None,
+    as_json: Json = False,
+) -> None:
+    """Convert a calibration of another program to a rig of slbench.
+
+    Formats are recognised by what is in the files: OpenCV's stereoCalibrate, MATLAB's
+    stereoParameters, Bouguet's toolbox, SLStudio, SLMaster, Moreno and Taubin's program, ROS,
+    mrcal.
+    """
+    from slbench.core.io import check_output_file
+    from slbench.rig.files.entries import is_own, rig_entries
+    from slbench.rig.opencv import rig_of, write_rig
+    from slbench.rig.parameters import covariance_beside
+    from slbench.rig.summary import summary_lines, summary_of
+
+    *given, out = files
+    if not given:
+        raise InputError("files", "a calibration, and the file to write after it", str(out))
+    check_output_file(out, (".yaml", ".yml"), "the last file")
+    # Who forgets it names a file of the calibration last.
+    if out.exists() and not is_own(out):
+        raise InputError("the last file", "a new one, or a rig's of slbench", str(out))
+    sizes = {"camera": size_camera, "projector": size_projector}
+    pitches = {"camera": pitch_camera, "projector": pitch_projector}
+    entries = rig_entries(given, stated_of(unit, order, sizes, pitches, first_pixel))
+    rig = rig_of(entries)
+    write_rig(out, rig, covariance_beside(given[0]))
+    summary = summary_of(rig)
+    if as_json:
+        print_json({"format": entries.format, "out": str(out)} | summary)
+        return
+    for line in summary_lines(summary):
+        print(line)
+    missing = [f"--pitch-{role}" for role in sizes if f"pitch_um_{role}" not in entries.values]
+    if missing:
+        nominal = f"{summary['camera']['pitch_um'][0]:g} µm is taken: rays do not depend on it"
+        print(f"pitch: not stated ({', '.join(missing)}), {nominal}")
+    print(f"Written to {out}, from {entries.format}")

@@ -1,0 +1,58 @@
+"""``slbench rig show``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slbench.cli.common import Json, print_json, print_table
+from slbench.cli.lazy import command
+from slbench.cli.rig.given import (
+    FirstPixel,
+    Order,
+    PitchCamera,
+    PitchProjector,
+    SizeCamera,
+    SizeProjector,
+    Unit,
+    stated_of,
+)
+
+
+@command("slbench rig show out/step-block/rig.yaml --out rig.png")
+def show(
+    files: Annotated[list[Path], typer.Argument(help="A rig: one file, or all that it is in.")],
+    out: Annotated[Path | None, typer.Option(help="A PNG of the rig, to scale.")] = None,
+    unit: Unit = None,
+    order: Order = None,
+    size_camera: SizeCamera = None,
+    size_projector: SizeProjector = None,
+    pitch_camera: PitchCamera = None,
+    pitch_projector: PitchProjector = None,
+    first_pixel: FirstPixel = None,
+    as_json: Json = False,
+) -> None:
+    """Show a rig: its devices, its geometry, and what is odd about it."""
+    from slbench.core.io import check_output_file
+    from slbench.core.show.drawing import write_figure
+    from slbench.rig.opencv import read_rig
+    from slbench.rig.summary import summary_lines, summary_of, summary_table
+
+    if out is not None:
+        check_output_file(out, (".png",))
+    sizes = {"camera": size_camera, "projector": size_projector}
+    pitches = {"camera": pitch_camera, "projector": pitch_projector}
+    rig = read_rig(files, stated=stated_of(unit, order, sizes, pitches, first_pixel))
+    summary = summary_of(rig)
+    if out is not None:
+        write_figure(rig, out)
+    if as_json:
+        print_json(summary | ({} if out is None else {"picture": str(out)}))
+        return
+    print_table(summary_table(summary))
+    for line in summary_lines(summary):
+        print(line)
+    if out is not None:
+        print(f"Written to {out}")

@@ -1,0 +1,221 @@
+"""OpenCV's files with two matrices, two distortions and the motion between, by whatever names.
+
+``cv2.stereoCalibrate`` returns arrays, and each program names them as it likes when it writes them
+with ``cv2.FileStorage``: ``M1 D1 M2 D2 R T`` in OpenCV's own sample (in two files, intrinsics and
+extrinsics), ``camera_matrix_left``, ``distCoeffs2``, ``cam_K`` and ``proj_kc``.  A name is
+recognised by a word for what it is and one for the device, in either order; what K is and what its
+distortion tells the shape.
+
+The motion is that of ``cv2.stereoCalibrate``: ``X_second = R X_first + T``.  Pixels are OpenCV's.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from slbench.core.errors import InputError
+from slbench.rig.files.base import CalibratedDevice, Calibration, RigFormat, vector
+from slbench.rig.files.source import Source
+
+#: Words, without capitals and underscores.
+_MATRIX = (
+    *("m", "k", "a", "mtx", "kk", "matrix", "cameramatrix", "cammatrix", "intrinsic", "intrinsics"),
+    *("intrinsicmatrix", "intrinsicsmatrix", "cameraintrinsics", "camerak"),
+)
+_DISTORTION = (
+    *("d", "k", "kc", "dist", "coeffs", "distcoeffs", "distcoeff", "distcoef", "distortion"),
+    *("distortions", "distortioncoeffs", "distortioncoefficients", "distortionvector"),
+)
+_SIZE = ("size", "imagesize", "imgsize", "resolution", "framesize", "panelsize")
+_ROTATION = ("r", "rot", "rotation", "rotationmatrix", "rstereo", "stereor", "rlr", "rlp", "rcp")
+_TRANSLATION = (
+    *("t", "trans", "translation", "translationvector", "tvec", "tstereo", "stereot", "tlr"),
+    *("tlp", "tcp"),
+)
+#: Words for a first and a second device; names that tell more come first.
+_PAIRS = (
+    *(("camera", "projector"), ("cam", "proj"), ("cam", "prj"), ("cam", "pro"), ("c", "p")),
+    *(("left", "right"), ("l", "r"), ("1", "2"), ("0", "1"), ("cam1", "cam2"), ("cam0", "cam1")),
+    *(("camera1", "camera2"), ("camera0", "camera1"), ("a", "b")),
+)
+#: What a text says that is no lens of OpenCV's.
+_OTHER_LENSES = ("fisheye", "equidistant", "kannala", "omni", "mei", "double_sphere", "cahvor")
+
+
+class _Entries:
+    """The entries of one or more files, by their words."""
+
+    def __init__(self, sources: Sequence[Source]) -> None:
+        self.found: dict[str, list[tuple[str, Any]]] = {}
+        for source in sources:
+            for key, value in source.storage.items():
+                place = source.place(key)
+                self.found.setdefault(_plain(key), []).append((place, value))
+
+    def get(
+        self, words: Sequence[str], sizes: Sequence[int], device: str = ""
+    ) -> tuple[str, Any] | None:
+        """Return the place and the value of the first entry of some words that has a fit size."""
+        for word in words:
+            for name in dict.fromkeys((word + device, device + word)):
+                for place, value in self.found.get(name, ()):
+                    if isinstance(value, np.ndarray) and value.size in sizes:
+                        return place, value
+        return None
+
+
+class MatrixFile(RigFormat):
+    """OpenCV's matrices by their usual names."""
+
+    title = "OpenCV's stereoCalibrate"
+
+    def recognises(self, sources: Sequence[Source]) -> bool:
+        """Return whether the files have the matrices of two devices."""
+        entries = _Entries(sources)
+        return _pair(entries) is not None
+
+    def read(self, sources: Sequence[Source]) -> Calibration:
+        """Return what the files say."""
+        entries = _Entries(sources)
+        _refuse_other_lenses(entries)
+        pair = _pair(entries)
+        assert pair is not None  # by recognises
+        where = sources[0].path
+        motion = [entries.get(_ROTATION, (9, 3)), entries.get(_TRANSLATION, (3,))]
+        for name, one in zip("RT", motion, strict=True):
+            if one is None:
+                expected = "this entry, or a second file with it (extrinsics.yml) beside it"
+                raise InputError(f"{where}: {name}", expected, "nothing")
+        (r_place, rotation), (t_place, translation) = motion  # type: ignore[misc]
+        return Calibration(
+            first=_device(entries, pair[0], first=True),
+            second=_device(entries, pair[1], first=False),
+            rotation=_rotation(rotation),
+            translation=vector(translation, t_place, (3,)),
+            places={"R": r_place, "T": t_place},
+        )
+
+
+class NamedFile(RigFormat):
+    """A program's file of OpenCV's matrices, by the names that it has.
+
+    Parameters
+    ----------
+    title : str
+        The program.
+    names : mapping of str to str
+        Its names of ``K_camera``, ``dist_camera``, ``K_projector``, ``dist_projector``, ``R`` and
+        ``T`` (from camera to projector).
+    sizes : mapping of str to sequence of sequence of str
+        By device: entries that hold both sizes, or one each.
+    unit : str
+        Of ``T``, as the program asks for its board.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        names: Mapping[str, str],
+        sizes: Mapping[str, Sequence[Sequence[str]]],
+        unit: str,
+    ) -> None:
+        self.title = title
+        self.names = names
+        self.sizes = sizes
+        self.unit = unit
+
+    def recognises(self, sources: Sequence[Source]) -> bool:
+        """Return whether a file has both matrices and the rotation by these names."""
+        wanted = {self.names[key] for key in ("K_camera", "K_projector", "R")}
+        return any(wanted <= source.storage.keys() for source in sources)
+
+    def read(self, sources: Sequence[Source]) -> Calibration:
+        """Return what the file says."""
+        (source,) = (one for one in sources if self.recognises([one]))
+        values, names = source.storage, self.names
+
+        def numbers(key: str, sizes: Sequence[int]) -> Any:
+            place = source.place(names[key])
+            if names[key] not in values:
+                raise InputError(place, "this entry", "nothing")
+            return vector(values[names[key]], place, sizes)
+
+        def device(role: str) -> CalibratedDevice:
+            keys = {"K": f"K_{role}", "dist": f"dist_{role}"}
+            return CalibratedDevice(
+                name=role,
+                matrix=numbers(keys["K"], (9,)).reshape(3, 3),
+                distortion=numbers(keys["dist"], ()),
+                size=_stated_size(values, self.sizes.get(role, ())),
+                places={short: source.place(names[key]) for short, key in keys.items()},
+            )
+
+        return Calibration(
+            first=device("camera"),
+            second=device("projector"),
+            rotation=numbers("R", (9,)).reshape(3, 3),
+            translation=numbers("T", (3,)),
+            unit=self.unit,
+            places={key: source.place(names[key]) for key in "RT"},
+        )
+
+
+def _stated_size(
+    values: Mapping[str, Any], names: Sequence[Sequence[str]]
+) -> tuple[float, float] | None:
+    for entries in names:
+        parts = [np.ravel(values[name]) for name in entries if name in values]
+        numbers = np.concatenate(parts) if parts else np.empty(0)
+        # Programs write zeros where they do not know.
+        if numbers.dtype.kind in "if" and numbers.size == 2 and numbers.min() > 0:
+            return float(numbers[0]), float(numbers[1])
+    return None
+
+
+def _plain(key: str) -> str:
+    return re.sub(r"[^a-z0-9]", "", key.lower())
+
+
+def _pair(entries: _Entries) -> tuple[str, str] | None:
+    """Return the words for two devices that have a matrix each."""
+    for pair in _PAIRS:
+        if all(entries.get(_MATRIX, (9,), name) for name in pair):
+            return pair
+    return None
+
+
+def _device(entries: _Entries, name: str, *, first: bool) -> CalibratedDevice:
+    matrix = entries.get(_MATRIX, (9,), name)
+    assert matrix is not None  # by _pair
+    distortion = entries.get(_DISTORTION, (4, 5, 8, 12, 14), name)
+    # One size for all is that of the pictures, which the camera took.
+    size = entries.get(_SIZE, (2,), name) or (entries.get(_SIZE, (2,)) if first else None)
+    places = {"K": matrix, "dist": distortion, "size": size}
+    return CalibratedDevice(
+        name=name,
+        matrix=np.asarray(matrix[1], np.float64).reshape(3, 3),
+        distortion=np.empty(0) if distortion is None else distortion[1].ravel(),
+        size=None if size is None else tuple(size[1].ravel().tolist()),
+        places={key: place[0] for key, place in places.items() if place is not None},
+    )
+
+
+def _rotation(value: np.ndarray) -> np.ndarray:
+    """Return a rotation that is written as a matrix or as a vector."""
+    from slbench.rig.files.base import from_rotation_vector
+
+    return value.reshape(3, 3) if value.size == 9 else from_rotation_vector(value.ravel())
+
+
+def _refuse_other_lenses(entries: _Entries) -> None:
+    for found in entries.found.values():
+        for place, value in found:
+            if isinstance(value, str) and any(lens in value.lower() for lens in _OTHER_LENSES):
+                raise InputError(place, "OpenCV's pinhole with k1 k2 p1 p2 k3 ...", repr(value))
+
+
+OPENCV = MatrixFile()
