@@ -45,11 +45,14 @@ class PanelPoints:
         Panel pixels, NaN where the phase is not known.
     sd : (n, k) float
         Predicted standard deviations: of the phase, and of the centre by the gradient.
+    gradient : (n, k, 2) float
+        Derivatives of the coordinates by camera u and v, panel px per px.
     """
 
     axes: tuple[Axis, ...]
     coordinates: Array
     sd: Array
+    gradient: Array
 
     __repr__ = brief
 
@@ -109,6 +112,7 @@ def remap(
         raise InputError("remap: window", "a whole number of pixels from 1", window)
     axes = tuple(phase.coordinate)
     coordinates, sd = np.empty((2, len(places), len(axes)))
+    slopes = np.empty((len(places), len(axes), 2))
     for k, axis in enumerate(axes):
         panel, sigma = phase.coordinate[axis], phase.sigma[axis]
         if window is None:
@@ -120,9 +124,9 @@ def remap(
             ]
             value, own = (np.array([fit[i] for fit in fits]) for i in (0, 1))
             gradient = np.array([fit[2] for fit in fits])
-        coordinates[:, k] = value
-        sd[:, k] = np.hypot(own, deviation * gradient)
-    return PanelPoints(axes, coordinates, sd)
+        coordinates[:, k], slopes[:, k] = value, gradient
+        sd[:, k] = np.hypot(own, deviation * np.linalg.norm(gradient, axis=1))
+    return PanelPoints(axes, coordinates, sd, slopes)
 
 
 def _per_centre(where: str, value: ArrayLike, count: int) -> Array:
@@ -134,7 +138,7 @@ def _per_centre(where: str, value: ArrayLike, count: int) -> Array:
 
 
 def _interpolate(places: Array, panel: Array, sigma: Array) -> tuple[Array, Array, Array]:
-    """Interpolate at places (n, 2): value, its deviation and the gradient's length, (n,)."""
+    """Interpolate at places (n, 2): value, its deviation (n,) and the gradient (n, 2)."""
     rows, columns = panel.shape
     u, v = places.T
     inside = (u >= 0) & (v >= 0) & (u <= columns - 1) & (v <= rows - 1)
@@ -150,14 +154,14 @@ def _interpolate(places: Array, panel: Array, sigma: Array) -> tuple[Array, Arra
     along_v = (1 - f) * (p[2] - p[0]) + f * (p[3] - p[1])
     value = np.where(inside, (weights * p).sum(axis=0), np.nan)
     own = np.where(inside, np.sqrt((weights**2 * s**2).sum(axis=0)), np.nan)
-    return value, own, np.hypot(along_u, along_v)
+    return value, own, np.column_stack((along_u, along_v))
 
 
 def _fit_window(
     place: Array, panel: Array, sigma: Array, window: int, order: int, exclude: float
-) -> tuple[float, float, float]:
-    """Fit a polynomial about a place (2,): value, its deviation and the gradient's length."""
-    nothing = (np.nan, np.nan, np.nan)
+) -> tuple[float, float, Array]:
+    """Fit a polynomial about a place (2,): value, its deviation and the gradient (2,)."""
+    nothing = (np.nan, np.nan, np.full(2, np.nan))
     rows, columns = panel.shape
     u, v = place
     if not (-0.5 <= u <= columns - 0.5 and -0.5 <= v <= rows - 0.5):
@@ -189,5 +193,4 @@ def _fit_window(
     # Phases scatter more than predicted where a polynomial is not all there is to them.
     excess = max(1.0, float((weights * residual**2).sum() / max(weights.sum() - len(terms), 1.0)))
     covariance = excess * np.linalg.inv(design.T @ (weights[:, None] * design))
-    gradient = float(np.hypot(values[1], values[2])) / window
-    return float(values[0] + data[0]), float(np.sqrt(covariance[0, 0])), gradient
+    return float(values[0] + data[0]), float(np.sqrt(covariance[0, 0])), values[1:3] / window

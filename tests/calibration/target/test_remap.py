@@ -151,3 +151,18 @@ def test_bad_input(centres, options, word):
         remap(centres, phase_map(plane((9, 9), 1.0, 0.0)), **options)
     assert word in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("window", [None, 6])
+def test_gradient_of_the_coordinates(window):
+    v, u = np.mgrid[:40, :50].astype(np.float64)
+    phase = PhaseMap(
+        {"u": 2.0 * u - 0.5 * v, "v": 0.25 * u + 3.0 * v},
+        {"u": np.full(u.shape, 0.1), "v": np.full(u.shape, 0.1)},
+        np.ones(u.shape, np.float32),
+        np.ones(u.shape, np.float32),
+        np.ones(u.shape, np.bool_),
+    )
+    found = remap([[20.3, 17.6]], phase, window=window)
+    # Planes: exact but for rounding.
+    np.testing.assert_allclose(found.gradient[0], [[2.0, -0.5], [0.25, 3.0]], atol=1e-9)

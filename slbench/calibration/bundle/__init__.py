@@ -1,0 +1,1 @@
+"""Camera and projector from boards in free poses: one adjustment over both."""

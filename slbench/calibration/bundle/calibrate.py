@@ -1,0 +1,361 @@
+"""Calibrate camera and projector from views of a board: start, adjust, judge, place the world."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.calibration.bundle.adjust import Adjusted, adjust, plain_residuals
+from slbench.calibration.bundle.models import FOCAL, free_parameters, start_values
+from slbench.calibration.bundle.start import fits_homography, start
+from slbench.calibration.bundle.uncertainty import (
+    Uncertainty,
+    normal_spread_deg,
+    reach_of,
+    uncertainty,
+)
+from slbench.calibration.bundle.views import BoardView
+from slbench.calibration.bundle.volume import coded_axis, point_covariance, volume_points
+from slbench.calibration.target.free import LEAST_POINTS
+from slbench.core.errors import InputError
+from slbench.core.show.display import brief
+from slbench.patterns import Axis
+from slbench.rig import Pose, Rig
+from slbench.rig.parameters import DEVICE_PARAMETERS, ROLES, ParameterCovariance
+
+Array = NDArray[np.float64]
+
+#: Poses that tell a pinhole's focal length and centre: two constraints each (Zhang, 2000).
+LEAST_VIEWS = 3
+#: A pose whose points are left out beyond this share is another board, or moved.
+_MOST_LEFT_OUT = 0.5
+#: Camera axes turned by pi about x: z towards the devices.
+_TOWARDS = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BoardCalibration:
+    """A calibrated rig, k views of a board and what is known.
+
+    Parameters
+    ----------
+    views : tuple of BoardView
+    rig : Rig
+        In the world's frame.
+    poses : tuple of Pose
+        Of the boards in the world.
+    kept : tuple of (n,) bool
+        Which points of each view were not left out.
+    known : Uncertainty
+    models : dict of str to str
+        Model of each device.
+    fixed : dict of str to float
+        Parameters that were fixed.
+    world : str
+        How it was placed.
+    strangers : tuple of str
+        Names of the views of which most points do not fit the others: left out whole.
+    """
+
+    views: tuple[BoardView, ...]
+    rig: Rig
+    poses: tuple[Pose, ...]
+    kept: tuple[NDArray[np.bool_], ...]
+    known: Uncertainty
+    models: Mapping[str, str]
+    fixed: Mapping[str, float]
+    world: str
+    strangers: tuple[str, ...] = ()
+
+    __repr__ = brief
+
+    @property
+    def covariance(self) -> ParameterCovariance:
+        """Covariance of the rig's parameters, relative to the camera."""
+        return self.known.covariance
+
+    @cached_property
+    def residuals(self) -> tuple[tuple[Array, Array], ...]:
+        """What camera and panel are off in each view, (n, 2) each, px, of all points."""
+        return tuple(
+            plain_residuals(self.rig, pose, view)
+            for pose, view in zip(self.poses, self.views, strict=True)
+        )
+
+    def rms_px(self, device: int, view: int | None = None) -> float:
+        """Root mean square distance of a device's points (0 camera, 1 panel) that are kept, px."""
+        which = range(len(self.views)) if view is None else (view,)
+        off = np.concatenate([self.residuals[k][device][self.kept[k]] for k in which])
+        return float(np.sqrt(np.mean(np.sum(off**2, axis=1)))) if len(off) else float("nan")
+
+    @property
+    def left_out(self) -> tuple[tuple[str, Array, Array], ...]:
+        """The points left out: their names, and what camera and panel are off, px."""
+        return tuple(
+            (view.label(int(j)), camera[j], panel[j])
+            for view, (camera, panel), mask in zip(
+                self.views, self.residuals, self.kept, strict=True
+            )
+            for j in np.flatnonzero(~mask)
+        )
+
+    @property
+    def board_points(self) -> Array:
+        """The points kept of all boards in the world, (n, 3), mm."""
+        return np.concatenate(
+            [
+                pose.to_world(view.points_mm[mask])
+                for pose, view, mask in zip(self.poses, self.views, self.kept, strict=True)
+            ]
+        )
+
+    @cached_property
+    def axis(self) -> Axis:
+        """The panel axis that tells depth."""
+        return coded_axis(self.rig, self.board_points)
+
+    @cached_property
+    def predicted(self) -> tuple[Array, Array]:
+        """Points through the boards' volume (n, 3), mm, and their deviations along x, y, z, mm."""
+        points = self.board_points
+        grid = volume_points(points.min(axis=0), points.max(axis=0))
+        covariance = point_covariance(self.rig, self.covariance, grid, self.axis)
+        with np.errstate(invalid="ignore"):
+            return grid, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+
+    @property
+    def parameters(self) -> dict[str, tuple[float, float]]:
+        """Values and deviations by full name; zero deviation where fixed or not in the model.
+
+        The projector's turn and shift are its rotation vector and position in the camera's frame.
+        """
+        camera = self.rig.camera.pose
+        table: dict[str, tuple[float, float]] = {}
+        std = self.covariance.std
+        for role in ROLES:
+            device = getattr(self.rig, role)
+            matrix = device.matrix
+            values = dict(
+                zip(
+                    DEVICE_PARAMETERS[:9],
+                    (matrix[0, 0], matrix[1, 1], *device.centre, *device.distortion),
+                    strict=True,
+                )
+            )
+            if role == "projector":
+                from scipy.spatial.transform import Rotation
+
+                turn = Rotation.from_matrix(camera.rotation.T @ device.pose.rotation).as_rotvec()
+                place = camera.to_local(device.pose.position)
+                values |= dict(zip(DEVICE_PARAMETERS[9:], (*turn, *place), strict=True))
+            table |= {
+                f"{role}.{name}": (float(value), std.get(f"{role}.{name}", 0.0))
+                for name, value in values.items()
+            }
+        return table
+
+    @property
+    def baseline_mm(self) -> tuple[float, float]:
+        """Distance of the two lenses and its deviation, mm."""
+        offset = self.rig.projector.pose.to_local(self.rig.camera.pose.position)
+        length = float(np.linalg.norm(offset))
+        names = [f"projector.{name}" for name in ("tx_mm", "ty_mm", "tz_mm")]
+        which = [self.covariance.names.index(name) for name in names]
+        part = self.covariance.matrix[np.ix_(which, which)]
+        along = offset / length
+        return length, float(np.sqrt(along @ part @ along))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the outcome as plain values for JSON."""
+        _, deviation = self.predicted
+        seen = np.isfinite(deviation[:, 2])
+        return {
+            "views": len(self.views),
+            "points": int(sum(mask.sum() for mask in self.kept)),
+            "rms_px": {role: self.rms_px(k) for k, role in enumerate(ROLES)},
+            "chi_square": self.known.chi_square,
+            "pose_factor": self.known.pose_factor,
+            "models": dict(self.models),
+            "fixed": dict(self.fixed),
+            "world": self.world,
+            "parameters": {
+                name: {"value": value, "std": std} for name, (value, std) in self.parameters.items()
+            },
+            "baseline_mm": dict(zip(("value", "std"), self.baseline_mm, strict=True)),
+            "undetermined": self.known.undetermined,
+            "normal_spread_deg": normal_spread_deg(self._adjusted),
+            "reach": {role: reach_of(self.views, self._adjusted, role) for role in ROLES},
+            "predicted_std_um": {
+                "axis": self.axis,
+                "points": int(seen.sum()),
+                "median": (1e3 * np.median(deviation[seen], axis=0)).tolist() if seen.any() else [],
+                "largest": (1e3 * np.max(deviation[seen], axis=0)).tolist() if seen.any() else [],
+            },
+            "poses": [
+                {
+                    "name": view.name,
+                    "points": len(view),
+                    "left_out": int(np.count_nonzero(~mask)),
+                    "camera_rms_px": self.rms_px(0, k),
+                    "projector_rms_px": self.rms_px(1, k),
+                    "rotation": pose.rotation,
+                    "position_mm": pose.position,
+                }
+                for k, (view, pose, mask) in enumerate(
+                    zip(self.views, self.poses, self.kept, strict=True)
+                )
+            ],
+            "strangers": list(self.strangers),
+            "left_out": [
+                {"point": name, "camera_px": camera, "projector_px": panel}
+                for name, camera, panel in self.left_out
+            ],
+        }
+
+    @property
+    def _adjusted(self) -> Adjusted:
+        return Adjusted(
+            rig=self.rig, poses=self.poses, kept=self.kept, scales=np.ones((len(self.views), 2))
+        )
+
+
+def calibrate_boards(
+    views: Sequence[BoardView],
+    *,
+    camera_model: str = "brown",
+    projector_model: str = "radial",
+    fixed: Mapping[str, float | None] | None = None,
+    world: str | None = None,
+) -> BoardCalibration:
+    """Calibrate camera and projector from views of a board in free poses.
+
+    Parameters
+    ----------
+    views : sequence of BoardView
+        Three at least.
+    camera_model, projector_model : str
+        Of :data:`~slbench.calibration.bundle.models.DEVICE_MODELS`.
+    fixed : mapping of str to float or None
+        Parameters by full name that stay at a value, or where they start.
+    world : str, optional
+        Name of the view whose board is the world's frame.  By default the origin is where the
+        two optical axes come closest, with x to the camera's right and z towards the camera.
+
+    Returns
+    -------
+    BoardCalibration
+        Views of which most points do not fit are left out of it (``views`` has the others).
+
+    Raises
+    ------
+    InputError
+        With too few views, views of other sizes, no such world, or poses that do not determine a
+        focal length.
+    """
+    _check_sizes(views)
+    names = [view.name for view in views]
+    if world is not None and world not in names:
+        raise InputError("world", f"one of the views: {', '.join(names)[:80]}", world)
+    sizes = {"camera": views[0].camera_size, "projector": views[0].panel_size}
+    values = start_values(fixed or {}, sizes)
+    free = free_parameters(camera_model, projector_model, tuple(values))
+    views = list(views)
+    strangers: list[str] = []
+    while True:
+        if len(views) < LEAST_VIEWS:
+            got = f"{len(views)}; {', '.join(strangers)} do not fit"
+            raise InputError("boards", f"{LEAST_VIEWS} poses that fit together, at least", got)
+        masks = [fits_homography(view) for view in views]
+        rig, poses = start(views, masks, values)
+        found = adjust(views, rig, poses, free, masks)
+        alien = [
+            k
+            for k, mask in enumerate(found.kept)
+            if np.mean(mask) < 1.0 - _MOST_LEFT_OUT or np.count_nonzero(mask) < LEAST_POINTS
+        ]
+        if not alien:
+            break
+        strangers += [views[k].name for k in alien]
+        views = [view for k, view in enumerate(views) if k not in alien]
+    known = uncertainty(views, found, free)
+    lost = [name for name in known.undetermined if name.partition(".")[2] in FOCAL]
+    if lost:
+        expected = f"poses that determine {lost[0]}"
+        raise InputError("boards", expected, known.undetermined[lost[0]])
+    if world is not None and world not in [view.name for view in views]:
+        raise InputError("world", "a view that fits the others", world)
+    placed = _placed(found, views, world)
+    return BoardCalibration(
+        views=tuple(views),
+        rig=placed.rig,
+        poses=placed.poses,
+        kept=placed.kept,
+        known=known,
+        models={"camera": camera_model, "projector": projector_model},
+        fixed=values,
+        world="working distance" if world is None else f"board {world}",
+        strangers=tuple(strangers),
+    )
+
+
+def _check_sizes(views: Sequence[BoardView]) -> None:
+    if len(views) < LEAST_VIEWS:
+        raise InputError("boards", f"views of {LEAST_VIEWS} poses at least", len(views))
+    for view in views[1:]:
+        for what in ("camera_size", "panel_size"):
+            first, own = getattr(views[0], what), getattr(view, what)
+            if first != own:
+                name = what.removesuffix("_size")
+                expected = f"a {name} of {first[0]} x {first[1]} px, as {views[0].name}"
+                raise InputError(view.name, expected, f"{own[0]} x {own[1]} px")
+
+
+def _placed(found: Adjusted, views: Sequence[BoardView], world: str | None) -> Adjusted:
+    """Carry rig and poses from the camera's frame to the world's."""
+    rig = found.rig
+    points = np.concatenate(
+        [pose.to_world(v.points_mm) for pose, v in zip(found.poses, views, strict=True)]
+    )
+    if world is None:
+        depth = _working_distance(rig, points)
+        frame = Pose(_TOWARDS, np.array([0.0, 0.0, depth]))
+    else:
+        frame = found.poses[[view.name for view in views].index(world)]
+
+    def carried(pose: Pose) -> Pose:
+        return Pose(frame.rotation.T @ pose.rotation, frame.to_local(pose.position))
+
+    size = 2.0 * np.abs(frame.to_local(points)).max(axis=0)
+    volume = np.maximum(size, 1e-3).tolist()
+    return replace(
+        found,
+        rig=Rig(
+            rig.camera.posed(carried(rig.camera.pose)),
+            rig.projector.posed(carried(rig.projector.pose)),
+            (volume[0], volume[1], volume[2]),
+        ),
+        poses=tuple(carried(pose) for pose in found.poses),
+    )
+
+
+def _working_distance(rig: Rig, points: Array) -> float:
+    """Return how far along the camera's axis that of the projector comes closest, mm.
+
+    Where that is not among the boards (the axes are parallel, or an axis points away as with a
+    lens that is shifted), the boards' middle.
+    """
+    place, along = rig.projector.pose.position, rig.projector.pose.rotation[:, 2]
+    # Closest points of (0, 0, s) and place + t along.
+    cosine = float(along[2])
+    near, far = float(points[:, 2].min()), float(points[:, 2].max())
+    margin = far - near
+    if 1.0 - cosine**2 > 1e-6:
+        distance = float((place[2] - cosine * (along @ place)) / (1.0 - cosine**2))
+        if near - margin < distance < far + margin:
+            return distance
+    return 0.5 * (near + far)

@@ -1,0 +1,105 @@
+"""Which parameters of a device are fitted: its camera model, and what is fixed of it.
+
+The models are nested.  ``plain`` is a pinhole; ``radial`` has k1 and k2; ``brown`` adds p1, p2 and
+k3 (D. C. Brown, 1971).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from slbench.core.errors import InputError
+from slbench.core.registry import quoted
+from slbench.rig.parameters import DEVICE_PARAMETERS, RIG_PARAMETERS, ROLES
+
+FOCAL = ("fx_px", "fy_px")
+LENS = (*FOCAL, "cx_px", "cy_px")
+POSE = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
+#: Parameters of a device's model, beside those of :data:`LENS`.
+DEVICE_MODELS: dict[str, tuple[str, ...]] = {
+    "plain": (),
+    "radial": ("k1", "k2"),
+    "brown": ("k1", "k2", "p1", "p2", "k3"),
+}
+
+
+def free_parameters(
+    camera_model: str, projector_model: str, fixed: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """Return the parameters of a rig that are fitted, the camera's frame being the world's.
+
+    Parameters
+    ----------
+    camera_model, projector_model : str
+        Of :data:`DEVICE_MODELS`.
+    fixed : sequence of str
+        Full names (``camera.k3``) that are not.
+
+    Raises
+    ------
+    InputError
+        For another model.
+    """
+    names = []
+    for role, model in zip(ROLES, (camera_model, projector_model), strict=True):
+        if model not in DEVICE_MODELS:
+            expected = f"one of {', '.join(DEVICE_MODELS)}"
+            raise InputError(f"{role} model", expected, quoted(model, tuple(DEVICE_MODELS)))
+        own = (*LENS, *DEVICE_MODELS[model], *(POSE if role == "projector" else ()))
+        names += [f"{role}.{name}" for name in own]
+    return tuple(name for name in names if name not in fixed)
+
+
+def read_fixed(texts: Sequence[str], where: str) -> dict[str, float | None]:
+    """Parse what is fixed: ``k3``, ``camera.k3`` or ``camera.fx_px=5000``.
+
+    Parameters
+    ----------
+    texts : sequence of str
+        A name without a device is of both.
+    where : str
+        The option's name, for messages.
+
+    Returns
+    -------
+    dict of str to float or None
+        Values by full names; None is where the parameter starts: the panel's middle for
+        ``cx_px`` and ``cy_px``, zero for distortion.
+
+    Raises
+    ------
+    InputError
+        For a name that is not known, a value that is no number, or none where there is no start.
+    """
+    fixed: dict[str, float | None] = {}
+    known = tuple(name for name in RIG_PARAMETERS if name.partition(".")[2] not in POSE)
+    lens = tuple(name for name in DEVICE_PARAMETERS if name not in POSE)
+    for text in texts:
+        name, _, number = text.partition("=")
+        name = name.strip()
+        full = [f"{role}.{name}" for role in ROLES] if name in lens else [name]
+        if full[0] not in known:
+            expected = "a parameter of a device, such as k3 or camera.cx_px"
+            raise InputError(where, expected, quoted(name, (*lens, *known)))
+        try:
+            value = float(number) if number else None
+        except ValueError:
+            raise InputError(f"{where} {name}", "a number", repr(number)) from None
+        if value is None and full[0].partition(".")[2] in FOCAL:
+            raise InputError(f"{where} {name}", "a value: NAME=VALUE", "none")
+        fixed |= dict.fromkeys(full, value)
+    return fixed
+
+
+def start_values(
+    fixed: Mapping[str, float | None], sizes: Mapping[str, tuple[int, int]]
+) -> dict[str, float]:
+    """Return the values of what is fixed by full names, with those that were left open."""
+    middle = {
+        f"{role}.{name}": 0.5 * (sizes[role][axis] - 1)
+        for role in ROLES
+        for axis, name in enumerate(("cx_px", "cy_px"))
+    }
+    return {
+        name: middle.get(name, 0.0) if value is None else value for name, value in fixed.items()
+    }
