@@ -49,6 +49,15 @@ def scene_doubts(scene: Scene, tables: SceneTables) -> Iterator[tuple[str, str]]
     rig = scene.rig
     if tables.rig.file is None:  # that of a file was questioned as it was read
         yield from rig_doubts(rig)
+        yield from _lens_doubts(rig, tables)
+    if isinstance(scene.detector, Detector) and (doubt := converter_doubt(scene.detector)):
+        yield "detector.gain_e_per_dn", doubt
+    for index, item in enumerate(scene.objects):
+        if doubt := speck_doubt(item, rig):
+            yield f"objects[{index}]", doubt
+
+
+def _lens_doubts(rig: Rig, tables: SceneTables) -> Iterator[tuple[str, str]]:
     lenses = (("camera", tables.camera, rig.camera), ("projector", tables.projector, rig.projector))
     for name, table, device in lenses:
         # Who states an f-number describes a lens that can be bought.
@@ -56,11 +65,6 @@ def scene_doubts(scene: Scene, tables: SceneTables) -> Iterator[tuple[str, str]]
             focus = device.lens.focus_distance_mm
             if doubt := focal_length_doubt(table.focal_length_mm, focus):
                 yield f"{name}.focal_length_mm", doubt
-    if isinstance(scene.detector, Detector) and (doubt := converter_doubt(scene.detector)):
-        yield "detector.gain_e_per_dn", doubt
-    for index, item in enumerate(scene.objects):
-        if doubt := speck_doubt(item, rig):
-            yield f"objects[{index}]", doubt
 
 
 def converter_doubt(detector: Detector) -> str | None:

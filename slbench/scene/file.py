@@ -38,7 +38,8 @@ from slbench.detector.base import detector_of
 from slbench.patterns import PatternSequence, read_patterns
 from slbench.patterns.given import PatternsTable
 from slbench.rig import VOLUME_MM, Camera, DesignVariables, Pose, Projector, Rig
-from slbench.rig.opencv import read_rig
+from slbench.rig.files.entries import rig_entries
+from slbench.rig.opencv import rig_of
 from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
 from slbench.scene.calibration import Calibration, read_calibration
 from slbench.scene.changes import (
@@ -52,7 +53,7 @@ from slbench.scene.changes import (
 from slbench.scene.doubts import scene_doubts
 from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject, place_of
-from slbench.scene.tables import SceneTables
+from slbench.scene.tables import SceneOfFile, SceneTables, tables_of
 
 #: Width of a preview where the scene states no divisor, px.
 _PREVIEW_WIDTH = 320
@@ -151,7 +152,7 @@ def _load(
 ) -> tuple[Scene, SceneTables]:
     content = apply_changes(read_merged(path, allow_modules), changes)
     with naming_changes(path.name, changes):
-        file = validated(SceneTables, content, path.name, separator=": ")
+        file = validated(tables_of(content), content, path.name, separator=": ")
         if changes:  # for whoever asks where a result comes from
             content["set"] = listed(changes)
         with located(path.name):
@@ -255,7 +256,7 @@ def _build(
     scene_objects: tuple[SceneObject, ...],
     allow_modules: bool,
 ) -> Scene:
-    rig = _rig(file, path.parent)
+    rig = _rig(file, path)
     panel = (rig.projector.width, rig.projector.height)
     return Scene(
         name=file.name,
@@ -295,11 +296,14 @@ def _patterns(
     return table.coloured(found.sequence)
 
 
-def _rig(file: SceneTables, folder: Path) -> Rig:
+def _rig(file: SceneTables, path: Path) -> Rig:
     values = file.rig
-    if values.file is not None:
-        rig = read_rig(resources.inside(folder, values.file))
-        return rig if values.volume_mm is None else replace(rig, volume_mm=values.volume_mm)
+    if isinstance(file, SceneOfFile):
+        assert values.file is not None  # by tables_of
+        entries = rig_entries(resources.inside(path.parent, values.file))
+        for table, stated in file.beside(entries.values).items():
+            entries = entries.beside(stated, f"{path.name}: {table}")
+        return rig_of(entries)
     assert file.camera is not None  # both by _devices
     assert file.projector is not None
     if values.camera is not None and values.projector is not None:

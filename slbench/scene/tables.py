@@ -6,6 +6,7 @@ is refused with the key's full name.  ``docs/reference/scene-files.md`` lists th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Annotated, Any, Literal
 
@@ -13,6 +14,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from slbench.capture.focus import MAX_SETTINGS, Focus
+from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import (
     Aperture,
@@ -118,6 +120,75 @@ class ProjectorOptics(Optics):
         """Return the arguments of Projector, focused at `distance_mm` by default."""
         light = {"flux_w": self.flux_w, "bit_depth": self.bit_depth or None, "gamma": self.gamma}
         return super().arguments(distance_mm) | light
+
+
+class LensBeside(Parameters):
+    """Keys of a device that a calibration does not have, beside the rig's file that is one."""
+
+    pitch_um: Measure | tuple[Measure, Measure] | None = None
+    f_number: Measure | None = None
+    aperture_radius_mm: NotNegative | None = None
+    focus_distance_mm: Measure | None = None
+    natural_vignetting: bool | None = None
+    wavelength_nm: NotNegative | None = None
+    blur_px: Blur | None = None
+    body_mm: tuple[Measure, Measure, Measure] | None = None
+
+    @model_validator(mode="after")
+    def _one_aperture(self) -> LensBeside:
+        if self.f_number is not None and self.aperture_radius_mm is not None:
+            raise ValueError("f_number or aperture_radius_mm, not both")
+        return self
+
+    def stated(self, role: str, entries: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what is stated, as entries of a rig's file, in place of those that it has.
+
+        Raises
+        ------
+        InputError
+            For an f-number where nobody states the pitch, which makes the focal length.
+        """
+        given = {key: getattr(self, key) for key in type(self).model_fields}
+        if isinstance(self.pitch_um, float):
+            given["pitch_um"] = (self.pitch_um, self.pitch_um)
+        found = {f"{key}_{role}": _as_entry(one) for key, one in given.items() if one is not None}
+        if self.f_number is not None:
+            pitch = found.get(f"pitch_um_{role}", entries.get(f"pitch_um_{role}"))
+            if pitch is None:
+                expected = "pitch_um beside it, as the rig's file has none"
+                raise InputError(f"{role}.f_number", expected, self.f_number)
+            focal = np.ravel(entries[f"K_{role}"])[0] * 1e-3 * np.ravel(pitch)[0]
+            del found[f"f_number_{role}"]
+            found[f"aperture_radius_mm_{role}"] = float(focal / (2.0 * self.f_number))
+        return found
+
+
+def _as_entry(value: Any) -> Any:
+    """Return a value of a table as a rig's file has it."""
+    if isinstance(value, bool):
+        return int(value)
+    return np.array(value, dtype=np.float64) if isinstance(value, tuple) else value
+
+
+class CameraBeside(LensBeside):
+    """``[camera]`` beside a rig's file."""
+
+    fill_factor: Fraction | None = None
+
+
+class ProjectorBeside(LensBeside):
+    """``[projector]`` beside a rig's file."""
+
+    flux_w: Measure | None = None
+    bit_depth: Annotated[int, Field(ge=0, le=16)] | None = None
+    gamma: Measure | None = None
+
+    def stated(self, role: str, entries: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what is stated, as entries of a rig's file."""
+        found = super().stated(role, entries)
+        if f"flux_w_{role}" in found:  # of the only projector
+            found["flux_w"] = found.pop(f"flux_w_{role}")
+        return found
 
 
 class PlaceTable(Parameters):
@@ -377,6 +448,27 @@ class SceneTables(Parameters):
     def _devices(self) -> SceneTables:
         if self.rig.file is None and (self.camera is None or self.projector is None):
             raise ValueError("a [camera] and a [projector] table")
-        if self.rig.file is not None and (self.camera or self.projector):
-            raise ValueError("no [camera] or [projector] beside rig.file, which holds both")
         return self
+
+
+class SceneOfFile(SceneTables):
+    """A whole scene file whose rig is a file's; tables of devices add to it."""
+
+    camera: CameraBeside = CameraBeside()  # type: ignore[assignment]
+    projector: ProjectorBeside = ProjectorBeside()  # type: ignore[assignment]
+
+    def beside(self, entries: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+        """Return what stands beside the rig's file, as its entries, by the table that states it."""
+        volume = self.rig.volume_mm
+        return {
+            "rig": {} if volume is None else {"volume_mm": np.array(volume, dtype=np.float64)},
+            "camera": self.camera.stated("camera", entries),
+            "projector": self.projector.stated("projector", entries),
+        }
+
+
+def tables_of(content: Mapping[str, Any]) -> type[SceneTables]:
+    """Return the model of a scene's content: of a rig that is a file's, or described in it."""
+    rig = content.get("rig")
+    keys = set(rig) if isinstance(rig, dict) else set()
+    return SceneOfFile if "file" in keys <= {"file", "volume_mm"} else SceneTables

@@ -13,6 +13,15 @@ import shutil
 import cv2
 import numpy as np
 import pytest
+from calibrations import (
+    DIST_CAMERA,
+    DIST_PROJECTOR,
+    K_CAMERA,
+    K_PROJECTOR,
+    R,
+    T,
+    storage,
+)
 from focus_stacks import slanted_plane
 from pages import ALL, DOCS, FENCE, ROOT, named_commands, shown_commands, text_of
 from scenes_small import run_cli
@@ -119,7 +128,17 @@ def data_set(path):
     assert run_cli(*words).status == 0
 
 
+def slstudio(path):
+    sizes = {"frameWidth": 1280, "frameHeight": 1024, "screenResX": 1280, "screenResY": 800}
+    storage(
+        path, Kc=K_CAMERA, kc=DIST_CAMERA, Kp=K_PROJECTOR, kp=DIST_PROJECTOR, Rp=R, Tp=T, **sizes
+    )
+
+
 GIVEN = {
+    "slstudio.xml": slstudio,
+    "intrinsics.yml": lambda path: storage(path, M1=K_CAMERA, M2=K_PROJECTOR),
+    "extrinsics.yml": lambda path: storage(path, R=R, T=T),
     "points.csv": lambda path: shutil.copy(ROOT / "results" / "calibration" / "points.csv", path),
     "few.csv": few_rigs,
     "noise.csv": noise_table,

@@ -1,6 +1,8 @@
 """Rotations that were rounded, and entries that are almost one of ours, in a file of a rig."""
 
+import re
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from test_opencv_yaml import plain, written
 
 from slbench.core.errors import InputError, InputWarning
-from slbench.rig.opencv import read_rig
+from slbench.rig.opencv import _ENTRIES, read_rig
 from slbench.rig.pose import nearest_rotation
 
 #: A published matrix that is no rotation: its second row has the third entry's sign wrong.
@@ -92,3 +94,13 @@ def test_a_slip_of_an_entry_is_questioned_and_a_foreign_one_is_not(key, right, t
         assert said == []
     else:
         assert said == [f"{path}: {key}: not an entry of a rig; did you mean {right!r}?"]
+
+
+def test_the_page_lists_every_entry():
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "rig-files.md").read_text()
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    listed = set()
+    for name in re.findall(r"`(\w+)`", " ".join(rows)):
+        for device in ("camera", "projector") if name.endswith("DEVICE") else ("",):
+            listed.add(name.replace("DEVICE", device))
+    assert set(_ENTRIES) <= listed

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scenes_small import run_cli, small
 
+from slbench.core.errors import InputError
 from slbench.core.io import read_opencv_yaml, write_opencv_yaml
 from slbench.design.fringes.trial import noise_of_scene
 from slbench.report.plots.draw import scene_picture
@@ -140,3 +141,56 @@ def test_a_sweep_of_the_focus_is_about_the_object(published):
     )
     depths = [scene.rig.projector.pose.to_local(point)[2] for point in expected]
     np.testing.assert_allclose(scene.focus.distances_mm["projector"], depths, rtol=1e-12)
+
+
+class TestBesideAFile:
+    """What a calibration does not have, in the tables of the devices."""
+
+    def loaded(self, published, text, **tables):
+        published.write_text(text + BEFORE_IT)
+        return load_scene(published, **tables)
+
+    def test_aperture_and_focus(self, published):
+        text = "camera = { f_number = 8.0, pitch_um = 3.45, focus_distance_mm = 410.0 }\n"
+        text += (
+            "projector = { aperture_radius_mm = 3.0, focus_distance_mm = 400, flux_w = 2.0, "
+            "bit_depth = 0, gamma = 2.2, blur_px = 1.0, wavelength_nm = 550.0, "
+            "natural_vignetting = false, body_mm = [50, 40, 30] }\n"
+        )
+        rig = self.loaded(published, text).rig
+        lens, other = rig.camera.lens, rig.projector.lens
+        assert rig.camera.pitch_mm[0] == pytest.approx(3.45e-3)
+        assert lens.focal_length_mm == pytest.approx(2195.1204 * 3.45e-3)
+        assert lens.f_number == pytest.approx(8.0)
+        assert lens.focus_distance_mm == 410.0
+        assert (other.aperture_radius_mm, other.focus_distance_mm) == (3.0, 400.0)
+        assert (other.wavelength_nm, other.natural_vignetting) == (550.0, False)
+        projector = rig.projector
+        assert (projector.flux_w, projector.bit_depth, projector.gamma) == (2.0, None, 2.2)
+        assert (projector.blur_px, projector.body_mm) == (1.0, (50.0, 40.0, 30.0))
+        # Rays are the file's.
+        np.testing.assert_allclose(rig.camera.matrix, SLSTUDIO["K_camera"], rtol=1e-12)
+        np.testing.assert_allclose(projector.matrix, SLSTUDIO["K_projector"], rtol=1e-12)
+
+    def test_set_reaches_them(self, published):
+        changes = ["camera.aperture_radius_mm=2", "camera.focus_distance_mm=412"]
+        rig = self.loaded(published, "", changes=changes).rig
+        assert (rig.camera.lens.aperture_radius_mm, rig.camera.lens.focus_distance_mm) == (
+            2.0,
+            412.0,
+        )
+
+    @pytest.mark.parametrize(
+        ("table", "line"),
+        [
+            ("camera = { f_number = 8.0 }", "camera.f_number: expected pitch_um beside it"),
+            ("camera = { f_number = 8.0, aperture_radius_mm = 1.0 }", "not both"),
+            ("camera = { resolution_px = [10, 10] }", "camera: expected one of .*'resolution_px'"),
+            ("projector = { fill_factor = 0.5 }", "projector: expected one of .*'fill_factor'"),
+            ("camera = { focus_distance_mm = -1.0 }", "camera.focus_distance_mm: expected a"),
+        ],
+    )
+    def test_what_does_not_belong_there(self, table, line, published):
+        with pytest.raises(InputError, match=line) as caught:
+            self.loaded(published, table + "\n")
+        assert str(caught.value).startswith("scene.toml: ")

@@ -531,7 +531,10 @@ def test_a_device_at_its_target_is_refused(tmp_path):
 
 def test_devices_beside_a_rig_file_are_refused(tmp_path):
     error = refusal(tmp_path, content() | {"rig": {"file": "rig.yaml"}})
-    assert "no [camera] or [projector] beside rig.file" in str(error)
+    # What the file holds; its aperture, its focus and the like may stand there.
+    assert error.where == "scene.toml: camera"
+    assert error.expected.startswith("one of the keys pitch_um, f_number")
+    assert "'resolution_px'" in str(error)
 
 
 def test_a_rig_file_that_leaves_its_folder_is_refused(tmp_path):

@@ -7,7 +7,7 @@ asked for, all at once.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -76,6 +76,11 @@ class Entries:
     values: Mapping[str, Any]
     places: Mapping[str, str] = field(default_factory=dict)
     format: str = "slbench"
+
+    def beside(self, values: Mapping[str, Any], where: str) -> Entries:
+        """Return the entries with others in their place that stand elsewhere, `where`."""
+        places = {key: f"{where}: {key}" for key in values}
+        return replace(self, values={**self.values, **values}, places={**self.places, **places})
 
     def place(self, key: str) -> str:
         """Return where an entry stands, for messages."""

@@ -32,7 +32,7 @@ from slbench.detector.emva1288 import Detector
 from slbench.objects import artefacts, loading
 from slbench.scene.bsdfs import bsdfs
 from slbench.scene.file import read_merged
-from slbench.scene.tables import SceneTables
+from slbench.scene.tables import SceneOfFile, SceneTables
 
 OBJECTS = {name: read_toml(resources.find("objects", name)) for name in resources.names("objects")}
 SCENE = read_merged(resources.find("scenes", "step-block"))
@@ -54,6 +54,15 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
         SceneTables,
         {k: v for k, v in SCENE.items() if k != "rig"}
         | {"rig": {d: {"position_mm": [0.0, 10.0, 500.0]} for d in ("camera", "projector")}},
+    ),
+    (
+        SceneOfFile,
+        {k: v for k, v in SCENE.items() if k not in ("rig", "camera", "projector")}
+        | {
+            "rig": {"file": "rig.yaml", "volume_mm": [60.0, 70.0, 30.0]},
+            "camera": {"f_number": 8.0, "pitch_um": 5.0},
+            "projector": {"aperture_radius_mm": 3.0, "focus_distance_mm": 400.0},
+        },
     ),
     (
         CaptureTable,
