@@ -219,6 +219,11 @@ def make_given(words, folder):
             GIVEN[word](path)
 
 
+def photograph(session):
+    """Take photographs of a session's pictures by a camera that sees the panel and no more."""
+    shutil.copytree(session / "patterns", session / "photographs")
+
+
 CASES = [
     pytest.param(
         page,
@@ -263,6 +268,8 @@ def test_the_commands_of_a_page_run(page, workplace):
         # A claim may fail or be undecided.
         expected = (0, 1, 3) if words[0] == "check" else (0,)
         assert outcome.status in expected, f"{line}\n{outcome.err}"
+        if words[:2] == ["patterns", "write"]:
+            photograph(workplace / words[words.index("--out") + 1])
 
 
 def test_the_tables_name_what_pages_show():
