@@ -158,3 +158,17 @@ def test_decoding_takes_any_format(slstudio, tmp_path):
     done = run_cli("decode", tmp_path, "--rig", slstudio)
     assert done.status == 2
     assert "capture.toml" in done.err
+
+
+def test_a_rig_becomes_the_file_of_another_program(slstudio, tmp_path):
+    out = tmp_path / "ros.yaml"
+    done = run_cli("rig", "convert", slstudio, out, "--to", "ros", "--json")
+    assert done.status == 0, done.err
+    files = json.loads(done.out)["files"]
+    assert files == [str(tmp_path / f"ros-{n}.yaml") for n in ("camera", "projector", "transform")]
+    assert_projects(read_rig(files))
+    assert run_cli("rig", "convert", *files, tmp_path / "back.yaml").status == 0
+    assert_projects(read_rig(tmp_path / "back.yaml"))
+    done = run_cli("rig", "convert", slstudio, tmp_path / "x.yaml", "--to", "rose")
+    assert "--to: expected one of slstudio, " in done.err
+    assert "did you mean 'ros'" in done.err

@@ -28,6 +28,10 @@ def convert(
         list[Path],
         typer.Argument(help="One file or more of a rig, and at last the file to write (.yaml)."),
     ],
+    to: Annotated[
+        str | None,
+        typer.Option(help="Write another program's format: opencv, slstudio, bouguet, ros, ..."),
+    ] = None,
     unit: Unit = None,
     order: Order = None,
     size_camera: SizeCamera = None,
@@ -37,7 +41,7 @@ def convert(
     first_pixel: FirstPixel = None,
     as_json: Json = False,
 ) -> None:
-    """Convert a calibration of another program to a rig of slbench.
+    """Convert a calibration of another program to a rig, or back.
 
     Formats are recognised by what is in the files: OpenCV's stereoCalibrate, MATLAB's
     stereoParameters, Bouguet's toolbox, SLStudio, SLMaster, Moreno and Taubin's program, ROS,
@@ -45,6 +49,7 @@ def convert(
     """
     from slbench.core.io import check_output_file
     from slbench.rig.files.entries import is_own, rig_entries
+    from slbench.rig.files.writing import write_calibration
     from slbench.rig.opencv import rig_of, write_rig
     from slbench.rig.parameters import covariance_beside
     from slbench.rig.summary import summary_lines, summary_of
@@ -52,18 +57,24 @@ def convert(
     *given, out = files
     if not given:
         raise InputError("files", "a calibration, and the file to write after it", str(out))
-    check_output_file(out, (".yaml", ".yml"), "the last file")
+    if to is None:
+        check_output_file(out, (".yaml", ".yml"), "the last file")
     # Who forgets it names a file of the calibration last.
-    if out.exists() and not is_own(out):
-        raise InputError("the last file", "a new one, or a rig's of slbench", str(out))
+    if out.exists() and not (is_own(out) and to is None):
+        expected = "a new one, or a rig's of slbench" if to is None else "a new one"
+        raise InputError("the last file", expected, str(out))
     sizes = {"camera": size_camera, "projector": size_projector}
     pitches = {"camera": pitch_camera, "projector": pitch_projector}
     entries = rig_entries(given, stated_of(unit, order, sizes, pitches, first_pixel))
     rig = rig_of(entries)
-    write_rig(out, rig, covariance_beside(given[0]))
+    if to is None:
+        write_rig(out, rig, covariance_beside(given[0]))
+        written = [out]
+    else:
+        written = write_calibration(out, rig, to)
     summary = summary_of(rig)
     if as_json:
-        print_json({"format": entries.format, "out": str(out)} | summary)
+        print_json({"format": entries.format, "files": list(map(str, written))} | summary)
         return
     for line in summary_lines(summary):
         print(line)
@@ -71,4 +82,4 @@ def convert(
     if missing:
         nominal = f"{summary['camera']['pitch_um'][0]:g} µm is taken: rays do not depend on it"
         print(f"pitch: not stated ({', '.join(missing)}), {nominal}")
-    print(f"Written to {out}, from {entries.format}")
+    print(f"Written to {', '.join(map(str, written))}, from {entries.format}")

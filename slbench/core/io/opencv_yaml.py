@@ -36,12 +36,27 @@ class OtherEntry:
 
 
 def write_opencv_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
-    """Write the YAML that ``cv::FileStorage`` reads.
+    """Write the YAML that ``cv::FileStorage`` reads; see :func:`storage_bytes`.
+
+    Raises
+    ------
+    InputError
+        If the suffix is not ``.yml`` or ``.yaml``, or a name or a value is not one that OpenCV can
+        hold.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".yml", ".yaml"):
+        raise InputError(path, "a name that ends in .yml or .yaml", repr(path.suffix))
+    write_bytes(path, storage_bytes(path, values))
+
+
+def storage_bytes(path: Path, values: Mapping[str, Any]) -> bytes:
+    """Return the file that ``cv::FileStorage`` reads: XML where its name says so, else YAML.
 
     Parameters
     ----------
-    path : str or Path
-        The file; its suffix must be ``.yml`` or ``.yaml``.
+    path : Path
+        Its name, which is also for messages.
     values : mapping of str to ndarray, float, int or str
         Arrays of one or two axes become matrices of type CV_64F, a vector a column
         (n, 1) as OpenCV keeps distortion coefficients.
@@ -51,9 +66,6 @@ def write_opencv_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     InputError
         If a name or a value is not one that OpenCV can hold.
     """
-    path = Path(path)
-    if path.suffix.lower() not in (".yml", ".yaml"):
-        raise InputError(path, "a name that ends in .yml or .yaml", repr(path.suffix))
     entries: dict[str, Any] = {}
     for name, value in values.items():
         where = f"{path}: {name}"
@@ -75,11 +87,13 @@ def write_opencv_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
         else:
             raise InputError(where, "an array, a number or a text", type(value).__name__)
     # In memory: a file storage says nothing of a disk that is full.
-    flags = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
-    storage = cv2.FileStorage(".yaml", flags)
+    xml = path.suffix.lower() == ".xml"
+    kind = cv2.FILE_STORAGE_FORMAT_XML if xml else cv2.FILE_STORAGE_FORMAT_YAML
+    flags = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | kind
+    storage = cv2.FileStorage(".xml" if xml else ".yaml", flags)
     for name, value in entries.items():
         storage.write(name, value)
-    write_bytes(path, storage.releaseAndGetString().encode())
+    return storage.releaseAndGetString().encode()  # type: ignore[no-any-return]
 
 
 def read_opencv_yaml(path: str | Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,9 +85,12 @@ class RigFormat(ABC):
     ----------
     title : str
         What it is, for people: "Bouguet's toolbox for MATLAB".
+    suffixes : tuple of str
+        Of the files that :meth:`contents` is for; none where a format is read alone.
     """
 
     title: str
+    suffixes: tuple[str, ...] = ()
 
     @abstractmethod
     def recognises(self, sources: Sequence[Source]) -> bool:
@@ -101,6 +105,39 @@ class RigFormat(ABC):
         InputError
             Naming the file and the entry that is missing or not usable.
         """
+
+    def contents(self, calibration: Calibration, path: Path) -> dict[Path, bytes]:
+        """Return the files that say the same, by name.
+
+        Parameters
+        ----------
+        calibration : Calibration
+            A camera first, in millimetres, pixels from 0.
+        path : Path
+            With one of the suffixes.  Where a format has several files, they are beside it.
+
+        Raises
+        ------
+        InputError
+            For a lens that the format has no words for.
+        """
+        raise InputError("format", "one that is written", self.title)
+
+
+def coefficients(device: CalibratedDevice, counts: Sequence[int], title: str) -> Array:
+    """Return a device's distortion in one of so many coefficients, the fewest that hold it.
+
+    Raises
+    ------
+    InputError
+        Where it has more, such as a sensor's tilt.
+    """
+    used = int(np.max(np.nonzero(device.distortion)[0], initial=-1)) + 1
+    count = next((n for n in counts if n >= used), None)
+    if count is None:
+        expected = f"at most {max(counts)} coefficients of distortion, as {title} has"
+        raise InputError(f"the {device.name}", expected, f"{used}, the last not zero")
+    return np.append(device.distortion, np.zeros(count))[:count]
 
 
 def vector(value: object, where: str, sizes: Sequence[int] = ()) -> Array:

@@ -9,7 +9,9 @@ from what MATLAB counts, and it asks for its squares in millimetres.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +21,7 @@ from slbench.rig.files.base import (
     CalibratedDevice,
     Calibration,
     RigFormat,
+    coefficients,
     from_rotation_vector,
     pinhole,
     vector,
@@ -32,6 +35,7 @@ class Bouguet(RigFormat):
     """Bouguet's toolbox."""
 
     title = "Bouguet's calibration toolbox for MATLAB"
+    suffixes = (".mat",)
 
     def recognises(self, sources: Sequence[Source]) -> bool:
         """Return whether a file has the focal lengths of two devices."""
@@ -56,6 +60,31 @@ class Bouguet(RigFormat):
             unit="mm",
             places={"R": source.place(turn), "T": source.place("T")},
         )
+
+    def contents(self, calibration: Calibration, path: Path) -> dict[Path, bytes]:
+        """Return one file with the toolbox's variables, the camera to the left."""
+        import cv2
+        from scipy.io import savemat
+
+        values: dict[str, Any] = {
+            "om": cv2.Rodrigues(calibration.rotation)[0],
+            "R": calibration.rotation,
+            "T": calibration.translation[:, None],
+        }
+        devices = {"left": calibration.first, "right": calibration.second}
+        for name, one in devices.items():
+            values |= {
+                f"fc_{name}": np.diag(one.matrix)[:2, None],
+                f"cc_{name}": one.matrix[:2, 2:],
+                f"kc_{name}": coefficients(one, (5,), self.title)[:, None],
+                f"alpha_c_{name}": 0.0,
+                f"KK_{name}": one.matrix,
+            }
+            assert one.size is not None  # a rig's have one
+            values |= {f"nx_{name}": one.size[0], f"ny_{name}": one.size[1]}
+        buffer = io.BytesIO()
+        savemat(buffer, values)
+        return {path: buffer.getvalue()}
 
 
 def _pair(values: Mapping[str, Any]) -> tuple[str, str] | None:

@@ -13,14 +13,25 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from slbench.core.errors import InputError
-from slbench.rig.files.base import CalibratedDevice, Calibration, RigFormat, vector
+from slbench.core.io.opencv_yaml import storage_bytes
+from slbench.rig.files.base import (
+    CalibratedDevice,
+    Calibration,
+    RigFormat,
+    coefficients,
+    from_rotation_vector,
+    vector,
+)
 from slbench.rig.files.source import Source
 
+#: Suffixes of OpenCV's files.
+STORAGE = (".yml", ".yaml", ".xml")
 #: Words, without capitals and underscores.
 _MATRIX = (
     *("m", "k", "a", "mtx", "kk", "matrix", "cameramatrix", "cammatrix", "intrinsic", "intrinsics"),
@@ -72,6 +83,7 @@ class MatrixFile(RigFormat):
     """OpenCV's matrices by their usual names."""
 
     title = "OpenCV's stereoCalibrate"
+    suffixes = STORAGE
 
     def recognises(self, sources: Sequence[Source]) -> bool:
         """Return whether the files have the matrices of two devices."""
@@ -99,6 +111,16 @@ class MatrixFile(RigFormat):
             places={"R": r_place, "T": t_place},
         )
 
+    def contents(self, calibration: Calibration, path: Path) -> dict[Path, bytes]:
+        """Return one file with M1, D1, size1, M2, D2, size2, R and T."""
+        values: dict[str, Any] = {}
+        for number, one in enumerate((calibration.first, calibration.second), 1):
+            values[f"M{number}"] = one.matrix
+            values[f"D{number}"] = coefficients(one, (5, 8, 12, 14), self.title)
+            values[f"size{number}"] = np.array(one.size, dtype=np.float64)
+        values |= {"R": calibration.rotation, "T": calibration.translation}
+        return {path: storage_bytes(path, values)}
+
 
 class NamedFile(RigFormat):
     """A program's file of OpenCV's matrices, by the names that it has.
@@ -115,6 +137,8 @@ class NamedFile(RigFormat):
     unit : str
         Of ``T``, as the program asks for its board.
     """
+
+    suffixes = STORAGE
 
     def __init__(
         self,
@@ -163,6 +187,23 @@ class NamedFile(RigFormat):
             places={key: source.place(names[key]) for key in "RT"},
         )
 
+    def contents(self, calibration: Calibration, path: Path) -> dict[Path, bytes]:
+        """Return one file with the program's names."""
+        values: dict[str, Any] = {}
+        devices = {"camera": calibration.first, "projector": calibration.second}
+        for role, one in devices.items():
+            values[self.names[f"K_{role}"]] = one.matrix
+            values[self.names[f"dist_{role}"]] = coefficients(one, (5,), self.title)
+            assert one.size is not None  # a rig's have one
+            for entries in self.sizes.get(role, ())[:1]:
+                if len(entries) == 1:
+                    values[entries[0]] = np.array(one.size, dtype=np.float64)
+                else:
+                    values |= dict(zip(entries, map(int, one.size), strict=True))
+        values[self.names["R"]] = calibration.rotation
+        values[self.names["T"]] = calibration.translation
+        return {path: storage_bytes(path, values)}
+
 
 def _stated_size(
     values: Mapping[str, Any], names: Sequence[Sequence[str]]
@@ -206,8 +247,6 @@ def _device(entries: _Entries, name: str, *, first: bool) -> CalibratedDevice:
 
 def _rotation(value: np.ndarray) -> np.ndarray:
     """Return a rotation that is written as a matrix or as a vector."""
-    from slbench.rig.files.base import from_rotation_vector
-
     return value.reshape(3, 3) if value.size == 9 else from_rotation_vector(value.ravel())
 
 

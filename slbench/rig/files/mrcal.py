@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from slbench.rig.files.base import (
     CalibratedDevice,
     Calibration,
     RigFormat,
+    coefficients,
     from_rotation_vector,
     pinhole,
     vector,
@@ -35,6 +37,7 @@ class CameraModels(RigFormat):
     """Two of mrcal's camera models."""
 
     title = "mrcal's camera models"
+    suffixes = (".cameramodel",)
 
     def recognises(self, sources: Sequence[Source]) -> bool:
         """Return whether a file has a lens model of mrcal's."""
@@ -55,6 +58,27 @@ class CameraModels(RigFormat):
             translation=t2 - rotation @ t1,
             places={"R": place, "T": place},
         )
+
+    def contents(self, calibration: Calibration, path: Path) -> dict[Path, bytes]:
+        """Return a file a device, ``-camera`` and ``-projector``, in the camera's frame."""
+        import cv2
+
+        turn = cv2.Rodrigues(calibration.rotation)[0].ravel()
+        poses = (np.zeros(6), np.concatenate((turn, calibration.translation)))
+        devices = {"camera": calibration.first, "projector": calibration.second}
+        files = {}
+        for (role, one), pose in zip(devices.items(), poses, strict=True):
+            distortion = coefficients(one, (5, 8, 12), self.title)
+            pinhole_px = one.matrix[[0, 1, 0, 1], [0, 1, 2, 2]]
+            assert one.size is not None  # a rig's have one
+            text = (
+                f"{{\n    'lensmodel': 'LENSMODEL_OPENCV{distortion.size}',\n"
+                f"    'intrinsics': {np.concatenate((pinhole_px, distortion)).tolist()},\n"
+                f"    'extrinsics': {pose.tolist()},\n"
+                f"    'imagersize': {[int(side) for side in one.size]}\n}}\n"
+            )
+            files[path.with_stem(f"{path.stem}-{role}")] = text.encode()
+        return files
 
 
 def _values(source: Source) -> Mapping[str, Any]:

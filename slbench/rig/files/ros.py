@@ -15,13 +15,20 @@ Where the second device stands is in one of two places:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
-from slbench.rig.files.base import CalibratedDevice, Calibration, RigFormat, vector
+from slbench.rig.files.base import (
+    CalibratedDevice,
+    Calibration,
+    RigFormat,
+    coefficients,
+    vector,
+)
 from slbench.rig.files.source import Source
 
 _LENSES = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "none": (0, 4, 5)}
@@ -33,6 +40,7 @@ class CameraInfo(RigFormat):
     """ROS's ``camera_info``."""
 
     title = "ROS's camera_info"
+    suffixes = (".yaml", ".yml")
 
     def recognises(self, sources: Sequence[Source]) -> bool:
         """Return whether a file is of one device of ROS's."""
@@ -56,6 +64,57 @@ class CameraInfo(RigFormat):
             unit="m",
             places={"R": place, "T": place},
         )
+
+    def contents(self, calibration: Calibration, path: Path) -> dict[Path, bytes]:
+        """Return a file a device, ``-camera`` and ``-projector``, and ``-transform``."""
+        pose = calibration.rotation.T  # of the projector, in the camera's frame
+        position = -pose @ calibration.translation * 1e-3
+        transform = {
+            "header": {"frame_id": "camera"},
+            "child_frame_id": "projector",
+            "transform": {
+                "translation": dict(zip("xyz", position.tolist(), strict=True)),
+                "rotation": dict(zip("xyzw", _quaternion(pose).tolist(), strict=True)),
+            },
+        }
+        values = {
+            "camera": _info(calibration.first, "camera"),
+            "projector": _info(calibration.second, "projector"),
+            "transform": transform,
+        }
+        return {path.with_stem(f"{path.stem}-{name}"): _dumped(one) for name, one in values.items()}
+
+
+def _dumped(values: Mapping[str, Any]) -> bytes:
+    import yaml
+
+    return yaml.safe_dump(values, sort_keys=False).encode()  # type: ignore[no-any-return]
+
+
+def _info(device: CalibratedDevice, name: str) -> dict[str, Any]:
+    def matrix(values: Array) -> dict[str, Any]:
+        rows, columns = values.shape
+        return {"rows": rows, "cols": columns, "data": values.ravel().tolist()}
+
+    assert device.size is not None  # a rig's has one
+    distortion = coefficients(device, (5, 8), CameraInfo.title)
+    return {
+        "image_width": int(device.size[0]),
+        "image_height": int(device.size[1]),
+        "camera_name": name,
+        "camera_matrix": matrix(device.matrix),
+        "distortion_model": "plumb_bob" if distortion.size == 5 else "rational_polynomial",
+        "distortion_coefficients": matrix(distortion[None]),
+        "rectification_matrix": matrix(np.eye(3)),
+        "projection_matrix": matrix(np.column_stack((device.matrix, np.zeros(3)))),
+    }
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Return x y z w of a rotation."""
+    from scipy.spatial.transform import Rotation  # a third of a second, for few files
+
+    return np.asarray(Rotation.from_matrix(rotation).as_quat(), dtype=np.float64)
 
 
 def _is_info(source: Source) -> bool:
