@@ -36,7 +36,7 @@ MeasuredWith = Annotated[
     Path | None,
     typer.Option(
         "--measured-with",
-        help="Compute points by another rig (.yaml) or a calibration model (.json).",
+        help="Compute points by another rig, or a calibration model (.json).",
     ),
 ]
 Align = Annotated[

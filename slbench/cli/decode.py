@@ -23,7 +23,7 @@ def decode(
     out: Annotated[
         Path | None, typer.Option(help="Folder to write to.  [default: FOLDER/decoded]")
     ] = None,
-    rig: Annotated[Path | None, typer.Option(help="Rig (OpenCV YAML) to triangulate with.")] = None,
+    rig: Annotated[Path | None, typer.Option(help="Rig to triangulate with: rig.yaml.")] = None,
     min_modulation: MinModulation = None,
     max_order_residual: Annotated[
         OrderResidual | None,

@@ -10,7 +10,11 @@ apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers
 ``fill_factor_camera``, ``flux_w``,
 ``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.  Where the parameters' covariance is
 known, ``covariance_names`` and ``covariance`` have it (:mod:`slbench.rig.parameters`).  Other
-entries are left alone.
+entries are left alone, unless they are almost one of these.  ``docs/reference/rig-files.md`` has
+units and defaults.
+
+Files of other programs come as the same entries (:mod:`slbench.rig.files`), so that one reader
+checks and builds every rig.
 
 A lens with an aperture and no focus distance is in focus where its axis comes closest to the
 world's origin, as in a scene file; at infinity where the origin is not before both devices, which

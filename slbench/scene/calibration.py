@@ -30,7 +30,6 @@ from slbench.rig.opencv import read_rig
 from slbench.rig.parameters import ParameterCovariance, moved, read_covariance
 from slbench.scene.tables import CalibrationTable
 
-_RIGS, _MODELS = (".yaml", ".yml"), (".json",)
 #: Tag of the random stream of errors.
 _ERRORS = 8
 
@@ -148,7 +147,7 @@ def read_calibration(table: CalibrationTable, own: Rig, path: Path) -> Calibrati
 
 
 def calibration_of(path: str | Path, own: Rig, *, align: bool, where: str) -> Calibration:
-    """Read what a user measures with: a rig (``.yaml``) or a calibration model (``.json``).
+    """Read what a user measures with: a calibration model (``.json``) or a rig.
 
     Parameters
     ----------
@@ -161,11 +160,7 @@ def calibration_of(path: str | Path, own: Rig, *, align: bool, where: str) -> Ca
         What gave it, for messages.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in (*_RIGS, *_MODELS):
-        expected = "a rig (.yaml, .yml) or a calibration model (.json)"
-        raise InputError(where, expected, path)
-    name = "rig" if suffix in _RIGS else "model"
+    name = "model" if path.suffix.lower() == ".json" else "rig"
     return _read({name: path}, {}, own, {name: where}, CalibrationTable(rig="-", align=align))
 
 

@@ -299,7 +299,7 @@ class TestClaims:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ("rig.toml", ("--measured-with", "a rig (.yaml, .yml) or a calibration model (.json)")),
+        ("small.toml", ("--measured-with", "a rig: ours; SLStudio; ")),
         ("missing.yaml", ("--measured-with", "missing.yaml")),
         ("known.json", ("--measured-with", "kind", "slbench calibration model")),
         ("larger.yaml", ("--measured-with", "larger.yaml", "160 x 120 px", "640 x 480")),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -48,8 +49,10 @@ class CalibratedDevice:
 
     @property
     def role(self) -> str | None:
-        """What its name tells: "camera", "projector", or None."""
-        return ROLES.get(self.name.lower().rstrip("0123456789_"))
+        """What a word of its name tells: "camera", "projector", or None."""
+        words = re.findall("[a-z]+", self.name.lower())
+        roles = {ROLES[word] for word in words if word in ROLES}
+        return roles.pop() if len(roles) == 1 else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

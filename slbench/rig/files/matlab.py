@@ -105,28 +105,30 @@ def _device(source: Source, values: Mapping[str, Any], number: int) -> Calibrate
     fields = _fields(values[part])
     fields = {**_fields(fields.get("Intrinsics")), **fields}
     name = "K" if "K" in fields else "IntrinsicMatrix"
-    places = {key: source.place(f"{part}.{field}") for key, field in (("K", name),)}
     for needed in (name, "RadialDistortion"):
         if needed not in fields:
             raise InputError(source.place(f"{part}.{needed}"), "this field", "nothing")
-    matrix = vector(fields[name], places["K"], (9,)).reshape(3, 3)
-    where = source.place(f"{part}.RadialDistortion")
-    radial = vector(fields["RadialDistortion"], where, (2, 3))
-    tangential = vector(
-        fields.get("TangentialDistortion", (0.0, 0.0)),
-        source.place(f"{part}.TangentialDistortion"),
-        (2,),
-    )
+
+    def numbers(field: str, sizes: Sequence[int], default: Any = None) -> np.ndarray:
+        return vector(fields.get(field, default), source.place(f"{part}.{field}"), sizes)
+
+    matrix = numbers(name, (9,)).reshape(3, 3)
+    radial = numbers("RadialDistortion", (2, 3))
+    tangential = numbers("TangentialDistortion", (2,), (0.0, 0.0))
     size = None
     if np.size(fields.get("ImageSize", ())) == 2:
-        rows, columns = vector(fields["ImageSize"], source.place(f"{part}.ImageSize"), (2,))
+        rows, columns = numbers("ImageSize", (2,))
         size = (float(columns), float(rows))
     return CalibratedDevice(
         name=str(number),
         matrix=matrix if name == "K" else matrix.T,
         distortion=np.concatenate((radial[:2], tangential, radial[2:])),
         size=size,
-        places=places | {"dist": where, "size": source.place(f"{part}.ImageSize")},
+        places={
+            "K": source.place(f"{part}.{name}"),
+            "dist": source.place(f"{part}.RadialDistortion"),
+            "size": source.place(f"{part}.ImageSize"),
+        },
     )
 
 

@@ -4,7 +4,7 @@
 with ``cv2.FileStorage``: ``M1 D1 M2 D2 R T`` in OpenCV's own sample (in two files, intrinsics and
 extrinsics), ``camera_matrix_left``, ``distCoeffs2``, ``cam_K`` and ``proj_kc``.  A name is
 recognised by a word for what it is and one for the device, in either order; what K is and what its
-distortion tells the shape.
+distortion tells the shape.  Two files of one device each, and one of the motion, are as good.
 
 The motion is that of ``cv2.stereoCalibrate``: ``X_second = R X_first + T``.  Pixels are OpenCV's.
 """
@@ -42,6 +42,7 @@ _DISTORTION = (
     *("distortions", "distortioncoeffs", "distortioncoefficients", "distortionvector"),
 )
 _SIZE = ("size", "imagesize", "imgsize", "resolution", "framesize", "panelsize")
+_WIDTH_AND_HEIGHT = ("imagewidth", "imageheight")
 _ROTATION = ("r", "rot", "rotation", "rotationmatrix", "rstereo", "stereor", "rlr", "rlp", "rcp")
 _TRANSLATION = (
     *("t", "trans", "translation", "translationvector", "tvec", "tstereo", "stereot", "tlr"),
@@ -78,6 +79,15 @@ class _Entries:
                         return place, value
         return None
 
+    def width_and_height(self) -> tuple[str, Any] | None:
+        """Return the place and the values of a size in two entries."""
+        widths, heights = (self.found.get(name, []) for name in _WIDTH_AND_HEIGHT)
+        if not (widths and heights):
+            return None
+        (place, width), (_, height) = widths[0], heights[0]
+        fit = isinstance(width, int) and isinstance(height, int)
+        return (place, np.array([width, height], dtype=np.float64)) if fit else None
+
 
 class MatrixFile(RigFormat):
     """OpenCV's matrices by their usual names."""
@@ -87,15 +97,20 @@ class MatrixFile(RigFormat):
 
     def recognises(self, sources: Sequence[Source]) -> bool:
         """Return whether the files have the matrices of two devices."""
-        entries = _Entries(sources)
-        return _pair(entries) is not None
+        return _pair(_Entries(sources)) is not None or len(_single(sources)) == 2
 
     def read(self, sources: Sequence[Source]) -> Calibration:
         """Return what the files say."""
         entries = _Entries(sources)
         _refuse_other_lenses(entries)
         pair = _pair(entries)
-        assert pair is not None  # by recognises
+        if pair is not None:
+            first, second = (_device(entries, one, one, one == pair[0]) for one in pair)
+        else:
+            first, second = (
+                _device(_Entries([source]), "", source.path.stem, True)
+                for source in _single(sources)
+            )
         where = sources[0].path
         motion = [entries.get(_ROTATION, (9, 3)), entries.get(_TRANSLATION, (3,))]
         for name, one in zip("RT", motion, strict=True):
@@ -104,8 +119,8 @@ class MatrixFile(RigFormat):
                 raise InputError(f"{where}: {name}", expected, "nothing")
         (r_place, rotation), (t_place, translation) = motion  # type: ignore[misc]
         return Calibration(
-            first=_device(entries, pair[0], first=True),
-            second=_device(entries, pair[1], first=False),
+            first=first,
+            second=second,
             rotation=_rotation(rotation),
             translation=vector(translation, t_place, (3,)),
             places={"R": r_place, "T": t_place},
@@ -229,12 +244,19 @@ def _pair(entries: _Entries) -> tuple[str, str] | None:
     return None
 
 
-def _device(entries: _Entries, name: str, *, first: bool) -> CalibratedDevice:
-    matrix = entries.get(_MATRIX, (9,), name)
-    assert matrix is not None  # by _pair
-    distortion = entries.get(_DISTORTION, (4, 5, 8, 12, 14), name)
-    # One size for all is that of the pictures, which the camera took.
-    size = entries.get(_SIZE, (2,), name) or (entries.get(_SIZE, (2,)) if first else None)
+def _single(sources: Sequence[Source]) -> list[Source]:
+    """Return the files of one device each, as OpenCV's program for one camera writes them."""
+    return [source for source in sources if _Entries([source]).get(_MATRIX, (9,))]
+
+
+def _device(entries: _Entries, word: str, name: str, takes_pictures: bool) -> CalibratedDevice:
+    """Return a device by the word for it; a size without one is that of the pictures."""
+    matrix = entries.get(_MATRIX, (9,), word)
+    assert matrix is not None  # by _pair or _single
+    distortion = entries.get(_DISTORTION, (4, 5, 8, 12, 14), word)
+    size = entries.get(_SIZE, (2,), word)
+    if size is None and takes_pictures:
+        size = entries.get(_SIZE, (2,)) or entries.width_and_height()
     places = {"K": matrix, "dist": distortion, "size": size}
     return CalibratedDevice(
         name=name,

@@ -167,3 +167,23 @@ def test_our_own_files_take_no_options(tmp_path):
     path = storage(tmp_path / "rig.yml", K_camera=K_CAMERA, K_projector=K_PROJECTOR)
     with pytest.raises(InputError, match="none of unit, sizes, order and pixels"):
         read_rig(path, stated=ALL)
+
+
+def test_a_file_a_device_and_one_of_the_motion(tmp_path):
+    """As OpenCV's sample for one camera writes them, once for each."""
+    files = [
+        storage(
+            tmp_path / f"{name}_calibration.yml",
+            **{"camera_matrix": k, "distortion_coefficients": dist},
+            **{"image_width": size[0], "image_height": size[1], "avg_reprojection_error": 0.2},
+        )
+        for name, k, dist, size in (
+            ("projector", K_PROJECTOR, DIST_PROJECTOR, SIZE_PROJECTOR),
+            ("camera", K_CAMERA, DIST_CAMERA, SIZE_CAMERA),
+        )
+    ]
+    motion = storage(tmp_path / "motion.yml", R=R.T, T=-R.T @ T)
+    # Names of files tell which is which; the first one is that of the motion's frame.
+    assert_projects(read_rig([*files, motion], stated=Stated(unit="mm")))
+    with pytest.raises(InputError, match="R: expected this entry"):
+        read_rig(files, stated=Stated(unit="mm"))
