@@ -12,7 +12,7 @@ The motion is that of ``cv2.stereoCalibrate``: ``X_second = R X_first + T``.  Pi
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +43,10 @@ _DISTORTION = (
 )
 _SIZE = ("size", "imagesize", "imgsize", "resolution", "framesize", "panelsize")
 _WIDTH_AND_HEIGHT = ("imagewidth", "imageheight")
-_ROTATION = ("r", "rot", "rotation", "rotationmatrix", "rstereo", "stereor", "rlr", "rlp", "rcp")
+_ROTATION = (
+    *("r", "rot", "rotation", "rotationmatrix", "rvec", "om", "rstereo", "stereor", "rlr", "rlp"),
+    "rcp",
+)
 _TRANSLATION = (
     *("t", "trans", "translation", "translationvector", "tvec", "tstereo", "stereot", "tlr"),
     *("tlp", "tcp"),
@@ -54,8 +57,13 @@ _PAIRS = (
     *(("left", "right"), ("l", "r"), ("1", "2"), ("0", "1"), ("cam1", "cam2"), ("cam0", "cam1")),
     *(("camera1", "camera2"), ("camera0", "camera1"), ("a", "b")),
 )
-#: What a text says that is no lens of OpenCV's.
+#: What is said of a lens that is not OpenCV's pinhole; and words of entries that say it.
 _OTHER_LENSES = ("fisheye", "equidistant", "kannala", "omni", "mei", "double_sphere", "cahvor")
+_LENS = ("model", "lens", "type", "distortion", "fisheye", "projection")
+#: Numbers that may be a distortion, in a row: any but nine are, so that a wrong number is refused.
+_IN_A_ROW = (*range(1, 9), *range(10, 40))
+#: Numbers by which devices are told apart.
+_NUMBERED = "01234"
 
 
 class _Entries:
@@ -68,15 +76,30 @@ class _Entries:
                 place = source.place(key)
                 self.found.setdefault(_plain(key), []).append((place, value))
 
+    def named(self, words: Sequence[str], device: str) -> Iterator[tuple[str, str, Any]]:
+        """Yield the word, the place and the value of entries of a device, in the words' order."""
+        for word in words:
+            for name in dict.fromkeys((word + device, device + word)):
+                for place, value in self.found.get(name, ()):
+                    yield word, place, value
+
     def get(
         self, words: Sequence[str], sizes: Sequence[int], device: str = ""
     ) -> tuple[str, Any] | None:
         """Return the place and the value of the first entry of some words that has a fit size."""
-        for word in words:
-            for name in dict.fromkeys((word + device, device + word)):
-                for place, value in self.found.get(name, ()):
-                    if isinstance(value, np.ndarray) and value.size in sizes:
-                        return place, value
+        for _, place, value in self.named(words, device):
+            if isinstance(value, np.ndarray) and value.size in sizes:
+                return place, value
+        return None
+
+    def distortion(self, device: str) -> tuple[str, Any] | None:
+        """Return the place and the coefficients of a device's distortion, however many."""
+        for word, place, value in self.named(_DISTORTION, device):
+            if isinstance(value, np.ndarray):
+                if value.size in _IN_A_ROW and max(value.shape) == value.size:
+                    return place, value
+            elif len(word) > 1:
+                raise InputError(place, "coefficients of distortion", repr(value))
         return None
 
     def width_and_height(self) -> tuple[str, Any] | None:
@@ -238,6 +261,11 @@ def _plain(key: str) -> str:
 
 def _pair(entries: _Entries) -> tuple[str, str] | None:
     """Return the words for two devices that have a matrix each."""
+    numbered = [number for number in _NUMBERED if entries.get(_MATRIX, (9,), number)]
+    if len(numbered) > 2:
+        place = entries.get(_MATRIX, (9,), numbered[2])
+        assert place is not None
+        raise InputError(place[0], "two devices, a camera and a projector", f"{len(numbered)}")
     for pair in _PAIRS:
         if all(entries.get(_MATRIX, (9,), name) for name in pair):
             return pair
@@ -253,7 +281,7 @@ def _device(entries: _Entries, word: str, name: str, takes_pictures: bool) -> Ca
     """Return a device by the word for it; a size without one is that of the pictures."""
     matrix = entries.get(_MATRIX, (9,), word)
     assert matrix is not None  # by _pair or _single
-    distortion = entries.get(_DISTORTION, (4, 5, 8, 12, 14), word)
+    distortion = entries.distortion(word)
     size = entries.get(_SIZE, (2,), word)
     if size is None and takes_pictures:
         size = entries.get(_SIZE, (2,)) or entries.width_and_height()
@@ -273,9 +301,13 @@ def _rotation(value: np.ndarray) -> np.ndarray:
 
 
 def _refuse_other_lenses(entries: _Entries) -> None:
-    for found in entries.found.values():
+    for name, found in entries.found.items():
+        if not any(word in name for word in _LENS):
+            continue
         for place, value in found:
-            if isinstance(value, str) and any(lens in value.lower() for lens in _OTHER_LENSES):
+            other = isinstance(value, str) and any(one in value.lower() for one in _OTHER_LENSES)
+            # OpenCV's sample for one camera has a number for it.
+            if other or ("fisheye" in name and isinstance(value, int | float) and value):
                 raise InputError(place, "OpenCV's pinhole with k1 k2 p1 p2 k3 ...", repr(value))
 
 

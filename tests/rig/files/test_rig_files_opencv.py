@@ -143,6 +143,10 @@ def test_bad_files_are_one_line(tmp_path):
         ("M1", K_CAMERA + np.eye(3)[1][:, None] * 0.1, "s.yml: M1: expected fx 0 cx"),
         ("T", np.full(3, np.nan), "s.yml: T: expected three finite numbers"),
         ("lens", "fisheye", "s.yml: lens: expected OpenCV's pinhole"),
+        ("fisheye_model", 1, "s.yml: fisheye_model: expected OpenCV's pinhole"),
+        ("D2", np.zeros(6), "s.yml: D2: expected 4 or 5 "),
+        ("distCoeffs2", "none", "s.yml: distCoeffs2: expected coefficients"),
+        ("M3", K_CAMERA, "s.yml: M3: expected two devices, a camera and a projector, got 3"),
         ("T", np.zeros(2), "s.yml: T: expected this entry"),
     ):
         path = storage(tmp_path / "s.yml", **(good | {key: value}))
@@ -187,3 +191,12 @@ def test_a_file_a_device_and_one_of_the_motion(tmp_path):
     assert_projects(read_rig([*files, motion], stated=Stated(unit="mm")))
     with pytest.raises(InputError, match="R: expected this entry"):
         read_rig(files, stated=Stated(unit="mm"))
+
+
+def test_what_else_is_written_beside_is_of_no_account(tmp_path):
+    """A day in May in a language in which it is called like a lens; rectified matrices."""
+    more = {"calibration_time": "11 Mei 2024", "K1": np.eye(3, 4), "fisheye_model": 0, "flags": 7}
+    more |= {"R1": np.eye(3), "R2": R.T, "P1": np.eye(3, 4), "F": np.eye(3), "rms": 0.2}
+    good = {"M1": K_CAMERA, "D1": DIST_CAMERA, "M2": K_PROJECTOR, "D2": DIST_PROJECTOR}
+    path = storage(tmp_path / "s.yml", **good, R=R, T=T, **more)
+    assert_projects(read_rig(path, stated=ALL))
