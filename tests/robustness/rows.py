@@ -27,6 +27,8 @@ from slbench.core.io import write_npz, write_ply
 from slbench.core.io.images import write_exr, write_png, write_tiff
 from slbench.core.registry import resolved
 from slbench.patterns import PatternSequence
+from slbench.rig import Camera, Lens, Pose, Projector, Rig
+from slbench.rig.files.writing import write_calibration
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.transport import LightTransport
 
@@ -403,6 +405,29 @@ def truth(folder: Path) -> None:
     good("scan", folder / "scene.toml", "--no-picture", "--out", folder / "capture")
 
 
+#: Files of rigs of other programs, by format; the first is spoilt.
+CALIBRATIONS = {
+    "slstudio": ("c.xml",),
+    "opencv": ("c.yml",),
+    "bouguet": ("c.mat",),
+    "ros": ("c-camera.yaml", "c-projector.yaml", "c-transform.yaml"),
+    "mrcal": ("c-camera.cameramodel", "c-projector.cameramodel"),
+}
+STATED = "--unit mm --order camera-projector --size-camera 24x18 --size-projector 24x18 --json"
+
+
+def calibration(name: str) -> Callable[[Path], None]:
+    """Return what makes the files of a format."""
+
+    def prepare(folder: Path) -> None:
+        lens = Camera(24, 18, (0.1, 0.1), Lens(16.0), distortion=(0.1, 0.2, 0.0, 0.0, 0.0))
+        other = Projector(24, 18, (0.1, 0.1), Lens(20.0), pose=Pose(position=[100.0, 0.0, 0.0]))
+        suffix = Path(CALIBRATIONS[name][0]).suffix
+        write_calibration(folder / f"c{suffix}", Rig(lens, other), name)
+
+    return prepare
+
+
 # --- the command line ----------------------------------------------------------------------------
 
 OPTIONS = [
@@ -432,6 +457,8 @@ STARTS = {
     "dataset export": "missing --out out",
     "dataset info": "missing",
     "dataset verify": "missing",
+    "rig show": "capture/rig.yaml --out out/a.png",
+    "rig convert": "capture/rig.yaml out/rig.yaml",
     "scene show": "missing --out out/a.png",
     "scene list": "",
     "objects build": "plane --out out/m.stl",
@@ -510,6 +537,15 @@ ROWS: list[Row] = [
     ),
     of_file("capture.toml", "capture/capture.toml", DECODE, scanned, toml_of),
     of_file("rig.yaml", "capture/rig.yaml", DECODE, scanned, text_of),
+    *(
+        of_file(
+            *(f"rig of {name}", files[0], f"rig show {' '.join(files)} {STATED}"),
+            calibration(name),
+            bytes_of if name == "bouguet" else text_of,
+            0.5,
+        )
+        for name, files in CALIBRATIONS.items()
+    ),
     of_file("frame", "capture/frames/002.png", DECODE, scanned, bytes_of),
     *(
         row

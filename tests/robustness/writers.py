@@ -192,6 +192,13 @@ WRITERS = {
         ("--format", "frames"),
         needs=(_dataset,),
     ),
+    "rig convert": Writer(
+        lambda i, o: ["rig", "convert", i / "scan" / "rig.yaml", o],
+        None,
+        (),
+        "out.yaml",
+        needs=(_scan,),
+    ),
     "objects build": Writer(
         lambda i, o: ["objects", "build", "spur-gear", "--out", o],
         (),
