@@ -30,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slbench.core.errors import InputError, warn_user
 from slbench.core.io import OtherEntry, write_opencv_yaml
@@ -318,8 +319,19 @@ def read_rig(
     return rig_of(rig_entries(paths, stated), names)
 
 
-def rig_of(entries: Entries, names: Pair = ALONE) -> Rig:
-    """Return the rig of a file's entries; see :func:`read_rig`."""
+def rig_of(
+    entries: Entries, names: Pair = ALONE, looked_at: NDArray[np.float64] | None = None
+) -> Rig:
+    """Return the rig of a file's entries; see :func:`read_rig`.
+
+    Parameters
+    ----------
+    entries : Entries
+    names : Pair
+    looked_at : (3,) float, optional
+        What lenses that state no focus are in focus at where the world's origin is not before
+        both devices, mm in the world.
+    """
     values = _Values(entries)
     if entries.format == "slbench":
         _question_entries(values)
@@ -330,6 +342,11 @@ def rig_of(entries: Entries, names: Pair = ALONE) -> Rig:
     )
     volume = values.array("volume_mm", (3,), VOLUME_MM)
     depths = (camera_pose.origin_depth, projector_pose.origin_depth)
+    if min(depths) <= LEAST_DEPTH_MM and looked_at is not None:
+        camera_depth, projector_depth = (
+            float(pose.to_local(looked_at)[2]) for pose in (camera_pose, projector_pose)
+        )
+        depths = (camera_depth, projector_depth)
     before = depths if min(depths) > LEAST_DEPTH_MM else (None, None)
     camera_arguments = _device_arguments(values, "camera", before[0]) | {
         "fill_factor": values.number("fill_factor_camera", 1.0)

@@ -303,7 +303,7 @@ def _rig(file: SceneTables, path: Path) -> Rig:
         entries = rig_entries(resources.inside(path.parent, values.file))
         for table, stated in file.beside(entries.values).items():
             entries = entries.beside(stated, f"{path.name}: {table}")
-        return rig_of(entries)
+        return rig_of(entries, looked_at=np.array(file.objects[0].position_mm))
     assert file.camera is not None  # both by _devices
     assert file.projector is not None
     if values.camera is not None and values.projector is not None:

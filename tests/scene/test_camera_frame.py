@@ -172,6 +172,17 @@ class TestBesideAFile:
         np.testing.assert_allclose(rig.camera.matrix, SLSTUDIO["K_camera"], rtol=1e-12)
         np.testing.assert_allclose(projector.matrix, SLSTUDIO["K_projector"], rtol=1e-12)
 
+    def test_a_lens_without_a_focus_is_in_focus_at_the_object(self, published):
+        tables = "camera = { aperture_radius_mm = 2.0 }\nprojector = { aperture_radius_mm = 3.0 }\n"
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            scene = self.loaded(published, tables)
+        place = scene.objects[0].pose.position
+        for device in (scene.rig.camera, scene.rig.projector):
+            depth = device.pose.to_local(place)[2]
+            assert device.lens.focus_distance_mm == pytest.approx(depth, rel=1e-12)
+            assert device.circle_of_confusion(place) < 1e-9
+
     def test_set_reaches_them(self, published):
         changes = ["camera.aperture_radius_mm=2", "camera.focus_distance_mm=412"]
         rig = self.loaded(published, "", changes=changes).rig
