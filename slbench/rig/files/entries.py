@@ -16,7 +16,7 @@ import numpy as np
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
 from slbench.core.units import MILLIMETRES
-from slbench.rig.files.base import CalibratedDevice, Calibration
+from slbench.rig.files.base import Calibration
 from slbench.rig.files.registry import format_of, rig_formats
 from slbench.rig.files.source import Source
 from slbench.rig.pose import checked_rotation
@@ -52,9 +52,6 @@ class Stated:
     pitches_um: Mapping[str, float] = field(default_factory=dict)
     order: Order | None = None
     first_pixel: int | None = None
-
-    def __bool__(self) -> bool:
-        return self != Stated()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +107,7 @@ def rig_entries(paths: str | Path | Sequence[str | Path], stated: Stated | None 
     sources = [Source(path) for path in given]
     stated = stated or Stated()
     if len(sources) == 1 and any(key in sources[0].storage for key in _OWN):
-        if stated:
+        if stated != Stated():
             expected = "none of unit, sizes, order and pixels, which a file of slbench's own has"
             raise InputError(sources[0].path, expected, "some")
         return Entries(path=sources[0].path, values=sources[0].storage)
@@ -192,13 +189,9 @@ def _ask(
         length = float(np.linalg.norm(found.translation))
         missing.append(f"--unit {'|'.join(MILLIMETRES)} (T is {length:.4g} long)")
     if order is None:
-        names = f"the devices are {_called(found.first)} and {_called(found.second)}"
+        names = f"the devices are {found.first.name!r} and {found.second.name!r}"
         missing.append(f"--order {'|'.join(_ORDERS)} ({names})")
     missing += [f"--size-{role} WIDTHxHEIGHT" for role, size in sizes.items() if size is None]
     if missing:
         what = "what the file does not say, with slbench rig convert"
         raise InputError(path, f"{what}: {', '.join(missing)}", "none of it")
-
-
-def _called(device: CalibratedDevice) -> str:
-    return repr(device.name)

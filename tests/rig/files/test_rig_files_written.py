@@ -17,10 +17,13 @@ from calibrations import (
     assert_projects,
     storage,
 )
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.io import loadmat
 
 from slbench.core.errors import InputError, InputWarning
 from slbench.rig import Lens, Pose
+from slbench.rig.files.base import CalibratedDevice, Calibration
 from slbench.rig.files.entries import Stated, rig_entries
 from slbench.rig.files.registry import rig_formats
 from slbench.rig.files.writing import write_calibration, written_formats
@@ -96,3 +99,62 @@ def test_what_a_format_has_no_words_for(rig, tmp_path):
     with pytest.raises(InputError, match=r"ends in \.cameramodel"):
         write_calibration(tmp_path / "d.yml", rig, "mrcal")
     assert not list(tmp_path.glob("d*"))
+
+
+NUMBER = st.floats(-1.0, 1.0)
+#: Coefficients of distortion that a format has, if not five.
+MOST = {"opencv": 14, "ros": 8, "mrcal": 12}
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    turn=st.tuples(NUMBER, NUMBER, NUMBER),
+    offset=st.tuples(NUMBER, NUMBER, NUMBER).filter(lambda one: np.linalg.norm(one) > 1e-2),
+    centre=st.tuples(NUMBER, NUMBER),
+    name=st.sampled_from(written_formats()),
+    counts=st.tuples(*[st.sampled_from((0, 4, 5, 8, 12, 14))] * 2),
+    data=st.data(),
+)
+def test_any_calibration_comes_back(tmp_path_factory, turn, offset, centre, name, counts, data):
+    """Poses, and as many coefficients as a format has, whatever our devices make of them."""
+    rotation = cv2.Rodrigues(2.0 * np.array(turn))[0]
+    drawn = [np.array(data.draw(st.lists(NUMBER, min_size=n, max_size=n))) for n in counts]
+    devices = [
+        CalibratedDevice(
+            name=role,
+            matrix=np.array(
+                [[2000.0, 0, 600 + centre[0]], [0, 2100.0, 500 + centre[1]], [0, 0, 1]]
+            ),
+            distortion=distortion,
+            size=size,
+        )
+        for role, distortion, size in zip(SIZES, drawn, SIZES.values(), strict=True)
+    ]
+    calibration = Calibration(
+        first=devices[0],
+        second=devices[1],
+        rotation=rotation,
+        translation=300.0 * np.array(offset),
+        unit="mm",
+    )
+    one = rig_formats.get(name)
+    path = tmp_path_factory.mktemp("written") / f"out{one.suffixes[0]}"
+    used = max(int(np.max(np.nonzero(d)[0], initial=-1)) + 1 for d in drawn)
+    if used > MOST.get(name, 5):
+        with pytest.raises(InputError, match=f"at most {MOST.get(name, 5)} coefficients"):
+            one.contents(calibration, path)
+        return
+    contents = one.contents(calibration, path)
+    for file, content in contents.items():
+        file.write_bytes(content)
+    stated = Stated(unit="m" if name == "ros" else "mm", sizes_px=SIZES, order="camera-projector")
+    values = rig_entries(list(contents), stated).values
+    # Through a rotation vector or a quaternion, and in metres.
+    np.testing.assert_allclose(values["R"], rotation, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(values["T"].ravel(), calibration.translation, rtol=1e-9, atol=1e-9)
+    for device in devices:
+        np.testing.assert_allclose(values[f"K_{device.name}"], device.matrix, rtol=1e-14)
+        back = values[f"dist_{device.name}"].ravel()
+        length = max(back.size, device.distortion.size)
+        found, given_ = (np.append(d, np.zeros(length - d.size)) for d in (back, device.distortion))
+        np.testing.assert_array_equal(found, given_)
