@@ -16,11 +16,12 @@ from slbench.rig.files.source import Source
 
 Array = NDArray[np.float64]
 
-#: Words by which programs call a camera and a projector.
-ROLES = {
-    **dict.fromkeys(("camera", "cam", "c"), "camera"),
-    **dict.fromkeys(("projector", "proj", "prj", "pro", "p"), "projector"),
+#: Words by which programs call a camera and a projector; letters do where they are the whole name.
+_ROLES = {
+    **dict.fromkeys(("camera", "cam"), "camera"),
+    **dict.fromkeys(("projector", "proj", "prj", "pro"), "projector"),
 }
+_LETTERS = {"c": "camera", "p": "projector"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,9 +51,9 @@ class CalibratedDevice:
     @property
     def role(self) -> str | None:
         """What a word of its name tells: "camera", "projector", or None."""
-        words = re.findall("[a-z]+", self.name.lower())
-        roles = {ROLES[word] for word in words if word in ROLES}
-        return roles.pop() if len(roles) == 1 else None
+        name = self.name.lower()
+        roles = {_ROLES[word] for word in re.findall("[a-z]+", name) if word in _ROLES}
+        return roles.pop() if len(roles) == 1 else _LETTERS.get(name)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

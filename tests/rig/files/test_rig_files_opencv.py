@@ -20,6 +20,7 @@ from calibrations import (
 )
 
 from slbench.core.errors import InputError
+from slbench.rig.files.base import CalibratedDevice
 from slbench.rig.files.entries import Stated, rig_entries
 from slbench.rig.opencv import read_rig
 
@@ -200,3 +201,16 @@ def test_what_else_is_written_beside_is_of_no_account(tmp_path):
     good = {"M1": K_CAMERA, "D1": DIST_CAMERA, "M2": K_PROJECTOR, "D2": DIST_PROJECTOR}
     path = storage(tmp_path / "s.yml", **good, R=R, T=T, **more)
     assert_projects(read_rig(path, stated=ALL))
+
+
+@pytest.mark.parametrize(
+    ("name", "role"),
+    [
+        *(("camera", "camera"), ("cam0", "camera"), ("Cam_1", "camera"), ("c", "camera")),
+        *(("projector", "projector"), ("my-proj", "projector"), ("P", "projector")),
+        *(("left", None), ("1", None), ("c920", None), ("process", None), ("camera_of_proj", None)),
+    ],
+)
+def test_what_a_name_tells(name, role):
+    device = CalibratedDevice(name=name, matrix=np.eye(3), distortion=np.empty(0))
+    assert device.role == role
