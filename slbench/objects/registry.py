@@ -51,6 +51,7 @@ artefacts: Registry[ArtefactKind] = Registry(
         "mesh": "slbench.objects.mesh.file:KIND",
         "calibration_grid": "slbench.objects.targets.calibration_grid:KIND",
         "chequerboard": "slbench.objects.targets.chequerboard:KIND",
+        "charuco": "slbench.objects.targets.charuco:KIND",
         "circle_grid": "slbench.objects.targets.circle_grid:KIND",
         "coin": "slbench.objects.parts.coin:KIND",
         "micro_lens": "slbench.objects.shapes.microlens:KIND",

@@ -16,7 +16,7 @@ from macro_artefacts import (
     solid,
 )
 
-KINDS = ["calibration_grid", "chequerboard", "circle_grid"]
+KINDS = ["calibration_grid", "charuco", "chequerboard", "circle_grid"]
 DARK, BRIGHT = 30.0, 220.0
 #: Samples a pixel along either axis.
 SUPER = 4
@@ -82,6 +82,22 @@ def test_opencv_finds_the_corners_of_a_chequerboard_in_order(size):
     found, points = cv2.findChessboardCorners(image, size)
     assert found
     np.testing.assert_allclose(points.reshape(-1, 2)[::-1], expected, atol=0.15)
+
+
+@pytest.mark.parametrize("size", [(9, 7), (5, 8)])
+def test_opencv_finds_the_corners_of_a_charuco_board_by_their_numbers(size):
+    columns, rows = size
+    parameters = {"columns": columns, "rows": rows, "dictionary": "DICT_5X5_50"}
+    board = fresh("charuco", parameters)
+    black, expected = seen_from_above(board, "black", 0.1)
+    image = np.minimum(black, seen_from_above(board, "markers", 0.1)[0])
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_50)
+    layout = cv2.aruco.CharucoBoard(size, 5.0, 3.75, dictionary)
+    points, numbers, _, _ = cv2.aruco.CharucoDetector(layout).detectBoard(image)
+    assert sorted(numbers.ravel()) == list(range((columns - 1) * (rows - 1)))
+    found = points.reshape(-1, 2)[np.argsort(numbers.ravel())]
+    # On squares of 50 pixels; corners are 50 apart.
+    np.testing.assert_allclose(found, expected, atol=0.2)
 
 
 # --- geometry -----------------------------------------------------------------------------
@@ -186,7 +202,7 @@ def test_grids_are_repeatable(kind):
     check_repeatable(kind, {})
 
 
-@pytest.mark.parametrize("name", ["calibration-grid", "chequerboard", "circle-grid"])
+@pytest.mark.parametrize("name", ["calibration-grid", "charuco", "chequerboard", "circle-grid"])
 def test_shipped_grids_are_what_they_certify(name):
     artefact = check_shipped(name)
     check_solid(artefact.mesh)
@@ -203,6 +219,9 @@ def test_shipped_grids_are_what_they_certify(name):
         ("calibration_grid", {"margin_mm": 0.0625}, "margin_mm"),
         ("circle_grid", {"dot_diameter_mm": 4.0}, "dot_diameter_mm"),
         ("circle_grid", {"margin_mm": 2.0}, "margin_mm"),
+        ("charuco", {"marker_mm": 4.9}, "marker_mm"),
+        ("charuco", {"dictionary": "DICT_4X4"}, "dictionary"),
+        ("charuco", {"columns": 20, "rows": 20}, "dictionary"),  # 200 markers of 50
     ],
 )
 def test_refused_grids(kind, change, key):

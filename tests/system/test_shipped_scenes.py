@@ -35,6 +35,7 @@ THESIS = {
 #: Scenes of which uncertainties do not cover the truth as a Gaussian's would, and why.
 NOT_COVERED = {
     "v-groove": "light from the groove's other side is no ripple, and is partly taken for one",
+    "chequerboard": "a quarter of the pixels lie within the camera's blur of an edge",
     "ch8-grid": "the camera's blur mixes chrome and opal all over the grid",
     "ch8-grid-stack": "the camera's blur mixes chrome and opal all over the grid",
     "ch8-stack": "a fused stack's own sampling is not known",

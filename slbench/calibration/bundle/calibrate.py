@@ -120,13 +120,20 @@ class BoardCalibration:
         return coded_axis(self.rig, self.board_points)
 
     @cached_property
-    def predicted(self) -> tuple[Array, Array]:
-        """Points through the boards' volume (n, 3), mm, and their deviations along x, y, z, mm."""
+    def predicted(self) -> tuple[Array, Array, Array]:
+        """Points through the boards' volume and their deviations along x, y, z, (n, 3) each, mm.
+
+        The deviations of their places, and those of what is left after a rigid motion of all.
+        """
         points = self.board_points
         grid = volume_points(points.min(axis=0), points.max(axis=0))
-        covariance = point_covariance(self.rig, self.covariance, grid, self.axis)
+        found = (
+            point_covariance(self.rig, self.covariance, grid, self.axis, aligned=aligned)
+            for aligned in (False, True)
+        )
         with np.errstate(invalid="ignore"):
-            return grid, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+            place, shape = (np.sqrt(np.diagonal(c, axis1=1, axis2=2)) for c in found)
+        return grid, place, shape
 
     @property
     def parameters(self) -> dict[str, tuple[float, float]]:
@@ -172,8 +179,8 @@ class BoardCalibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the outcome as plain values for JSON."""
-        _, deviation = self.predicted
-        seen = np.isfinite(deviation[:, 2])
+        _, *deviations = self.predicted
+        seen = np.isfinite(deviations[0][:, 2])
         return {
             "views": len(self.views),
             "points": int(sum(mask.sum() for mask in self.kept)),
@@ -193,8 +200,14 @@ class BoardCalibration:
             "predicted_std_um": {
                 "axis": self.axis,
                 "points": int(seen.sum()),
-                "median": (1e3 * np.median(deviation[seen], axis=0)).tolist() if seen.any() else [],
-                "largest": (1e3 * np.max(deviation[seen], axis=0)).tolist() if seen.any() else [],
+                **{
+                    name: {
+                        "median": 1e3 * np.median(one[seen], axis=0),
+                        "largest": 1e3 * np.max(one[seen], axis=0),
+                    }
+                    for name, one in zip(("place", "shape"), deviations, strict=True)
+                    if seen.any()
+                },
             },
             "poses": [
                 {

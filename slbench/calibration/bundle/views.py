@@ -8,7 +8,9 @@ dots are black, so a window reaches over them, weighted by the phase's own devia
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,3 +139,62 @@ def view_board(capture: Capture, board: FreeBoard, name: str) -> BoardView:
         panel_size=capture.sequence.panel,
         placed=found.placed,
     )
+
+
+def view_folders(
+    folders: Sequence[str | Path],
+    board: FreeBoard,
+    *,
+    allow_modules: bool = False,
+    allow_outside: bool = False,
+    on_progress: Callable[[str, float], None] | None = None,
+) -> tuple[list[BoardView], dict[str, InputError]]:
+    """Find a board in the captures of folders.
+
+    Parameters
+    ----------
+    folders : sequence of path
+        Of captures (:meth:`~slbench.capture.Capture.load`), each once.
+    board : FreeBoard
+    allow_modules, allow_outside : bool
+        As for captures.
+    on_progress : callable, optional
+
+    Returns
+    -------
+    views : list of BoardView
+        Of the folders where the board was found, by the folders' names.
+    refused : dict of str to InputError
+        Why it was not, by the others' names.
+
+    Raises
+    ------
+    InputError
+        For a folder that is no capture, or is given twice.
+    """
+    names = [str(folder) for folder in folders]
+    for k, name in enumerate(names):
+        if name in names[:k]:
+            raise InputError("folders", "each capture once", f"{name} twice")
+    views, refused = [], {}
+    for k, name in enumerate(names):
+        capture = Capture.load(name, allow_modules=allow_modules, allow_outside=allow_outside)
+        try:
+            views.append(view_board(capture, board, name))
+        except InputError as problem:
+            refused[name] = problem
+        if on_progress:
+            on_progress("boards", (k + 1) / len(names))
+    return views, refused
+
+
+def size_doubt(views: Sequence[BoardView]) -> str | None:
+    """Question a board's size where every view shows the same part of it."""
+    if not views:
+        return None
+    spans = {tuple(np.sort(np.ptp(v.board.nodes[v.numbers], axis=0) + 1).tolist()) for v in views}
+    whole = tuple(np.sort(np.ptp(views[0].board.nodes, axis=0) + 1).tolist())
+    if len(spans) > 1 or spans == {whole} or len(views) == 1:
+        return None
+    ((short, long),) = spans
+    return f"all folders show {long} x {short} of its points: is the size that of another board?"

@@ -45,7 +45,14 @@ def volume_points(low: Array, high: Array, count: int = POINTS) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def point_covariance(rig: Rig, covariance: ParameterCovariance, points: Array, axis: Axis) -> Array:
+def point_covariance(
+    rig: Rig,
+    covariance: ParameterCovariance,
+    points: Array,
+    axis: Axis,
+    *,
+    aligned: bool = False,
+) -> Array:
     """Return the covariance of points by that of the rig's parameters, (n, 3, 3), mm^2.
 
     Parameters
@@ -56,6 +63,8 @@ def point_covariance(rig: Rig, covariance: ParameterCovariance, points: Array, a
         World, mm.
     axis : {"u", "v"}
         Panel axis that points are measured with.
+    aligned : bool
+        Of what is left after the best rigid motion of all of them together: of their shape.
 
     Returns
     -------
@@ -87,5 +96,26 @@ def point_covariance(rig: Rig, covariance: ParameterCovariance, points: Array, a
                 intersect_axis(other.projector, origins, directions, panel[good, k], axis)[0]
             )
         half = 50.0 * (ends[0] - ends[1])
+        if aligned:
+            half -= _rigid_part(points[good], half)
         total[good] += half[:, :, None] * half[:, None, :]
     return total
+
+
+def _rigid_part(points: Array, shifts: Array) -> Array:
+    """Return the small rigid motion that is nearest to shifts (n, 3) of points."""
+    x, y, z = (points - points.mean(axis=0)).T
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    motions = np.stack(
+        (
+            np.stack((one, zero, zero)),
+            np.stack((zero, one, zero)),
+            np.stack((zero, zero, one)),
+            np.stack((zero, -z, y)),
+            np.stack((z, zero, -x)),
+            np.stack((-y, x, zero)),
+        )
+    )
+    design = motions.transpose(2, 1, 0).reshape(-1, 6)
+    amounts, *_ = np.linalg.lstsq(design, shifts.ravel(), rcond=None)
+    return np.asarray((design @ amounts).reshape(-1, 3))

@@ -1,12 +1,13 @@
-"""``slbench calibrate``: calibrate by one model of all pixels, and measure with it."""
+"""``slbench calibrate``: a rig from boards, or one model of all pixels, and measure with it."""
 
 from slbench.cli.lazy import Group
 
 group = Group(
     "calibrate",
-    "Calibrate by one model of all pixels, and measure with it.",
+    "Calibrate a rig from boards, or by one model of all pixels.",
     {
         "Commands": {
+            "board": "slbench.cli.calibrate.board:board",
             "fit": "slbench.cli.calibrate.fit:fit",
             "apply": "slbench.cli.calibrate.apply:apply",
             "run": "slbench.cli.calibrate.run:run",

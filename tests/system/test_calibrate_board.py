@@ -1,0 +1,141 @@
+"""``slbench calibrate board``: captures of boards to a rig with its covariance, and refusals."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from board_scenes import board_scene, captured, free_poses, light_of, placed, true_parameters
+from scenes_small import check_refused, run_cli
+
+from slbench.capture.capture import Capture
+from slbench.rig.opencv import read_rig
+from slbench.rig.parameters import read_covariance
+
+BOARD = ("--board", "chequerboard", "--size", "9x7", "--pitch-mm", "8")
+COUNT = 5
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Captures of a chequerboard in five poses, a quarter of the pixels."""
+    root = tmp_path_factory.mktemp("boards")
+    scene, _ = board_scene("chequerboard", divisor=2, samples=16)
+    for k, pose in enumerate(free_poses(COUNT)):
+        at = placed(scene, pose)
+        shots = replace(captured(at, light_of(at, seed=k), seed=k), rig=None)
+        shots.save(root / f"pose{k}")
+    return root
+
+
+def poses(folder, count=COUNT):
+    return [folder / f"pose{k}" for k in range(count)]
+
+
+@pytest.fixture(scope="module")
+def calibrated(folder):
+    """The JSON of a calibration whose files are in the folder."""
+    outcome = run_cli(
+        *("calibrate", "board", *poses(folder), *BOARD, "--fix", "k3", "--fix", "projector.k2"),
+        *("--out", folder / "rig.yaml", "--report", folder / "page.html", "--json"),
+    )
+    assert outcome.status == 0, outcome.err
+    return json.loads(outcome.out)
+
+
+def test_boards_give_the_rig_that_they_were_rendered_with(folder, calibrated):
+    true = true_parameters(board_scene("chequerboard", divisor=2, samples=16)[0].rig)
+    errors = {
+        name: (found["value"] - true[name]) / found["std"]
+        for name, found in calibrated["parameters"].items()
+        if found["std"]
+    }
+    # 18 parameters of one draw: 4 deviations are passed in 1 of 800 tests.
+    assert max(map(abs, errors.values())) < 4.0, errors
+    assert calibrated["points"] == COUNT * 63
+    assert calibrated["left_out"] == []
+    assert 0.0 < calibrated["rms_px"]["camera"] < 0.2
+    assert "fixed" not in calibrated["parameters"]
+    assert calibrated["fixed"] == {"camera.k3": 0.0, "projector.k3": 0.0, "projector.k2": 0.0}
+
+
+def test_the_files(folder, calibrated):
+    rig, known = read_rig(folder / "rig.yaml"), read_covariance(folder / "rig.yaml")
+    fx = calibrated["parameters"]["camera.fx_px"]
+    assert rig.camera.matrix[0, 0] == pytest.approx(fx["value"], rel=1e-12)
+    assert known.std["camera.fx_px"] == pytest.approx(fx["std"], rel=1e-9)
+    assert (rig.camera.width, rig.projector.width) == (320, 640)
+    stored = json.loads((folder / "rig-calibration.json").read_text())
+    assert stored["parameters"] == calibrated["parameters"]
+    assert (folder / "rig-provenance.json").exists()
+    page = (folder / "page.html").read_text()
+    for words in ("Residual fields", "Coverage", "Predicted deviation of points", "pose3"):
+        assert words in page
+
+
+def test_a_scan_measured_with_it_has_its_uncertainty(folder, calibrated):
+    shots = Capture.load(folder / "pose1")
+    rig, known = read_rig(folder / "rig.yaml"), read_covariance(folder / "rig.yaml")
+    replace(shots, rig=rig, rig_covariance=known).save(folder / "scan")
+    outcome = run_cli("decode", folder / "scan", "--out", folder / "decoded", "--json")
+    assert outcome.status == 0, outcome.err
+    assert (folder / "decoded" / "cloud.ply").exists()
+
+
+def test_a_folder_without_a_board_is_named_and_the_others_do(folder, calibrated, tmp_path):
+    shots = Capture.load(folder / "pose2")
+    blurred = np.stack([cv2.GaussianBlur(f, (0, 0), 40.0) for f in shots.frames])
+    replace(shots, frames=blurred).save(tmp_path / "blurred")
+    outcome = run_cli(
+        *("calibrate", "board", *poses(folder), tmp_path / "blurred", *BOARD),
+        *("--out", tmp_path / "rig.yaml"),
+    )
+    assert outcome.status == 0, outcome.err
+    assert "blurred" in outcome.err
+    assert "left out" in outcome.err
+    assert "RMS" in outcome.out
+    assert "predicted deviation of points" in outcome.out
+
+
+def test_refusals(folder, tmp_path):
+    first, second, third = poses(folder, 3)
+    out = ("--out", tmp_path / "rig.yaml")
+    command = ("calibrate", "board")
+
+    def refused(*words, expecting):
+        check_refused(run_cli(*command, *words), *expecting)
+        assert not list(tmp_path.iterdir())
+
+    refused(first, second, third, *BOARD, "--size", "9", *out, expecting=("--size", "9x7"))
+    refused(first, first, third, *BOARD, *out, expecting=("each capture once",))
+    refused(first, folder / "gone", *BOARD, *out, expecting=("gone",))
+    refused(first, second, *BOARD, *out, expecting=("3 poses at least",))
+    refused(first, second, third, *BOARD, "--fix", "k9", *out, expecting=("--fix", "k3"))
+    refused(first, *BOARD, "--world", "board:none", *out, expecting=("--world", "folders"))
+    refused(first, *BOARD, "--marker-mm", "3", *out, expecting=("marker_mm", "ChArUco"))
+    refused(first, *BOARD, "--out", tmp_path / "rig.txt", expecting=(".yaml",))
+
+
+def test_a_board_of_another_size_is_refused_by_name(folder, tmp_path):
+    outcome = run_cli(
+        *("calibrate", "board", *poses(folder, 4), "--board", "chequerboard", "--size", "8x7"),
+        *("--pitch-mm", "8", "--out", tmp_path / "rig.yaml"),
+    )
+    assert outcome.status == 2
+    assert "pose0" in outcome.err
+    assert "9 x 7 in view" in outcome.err
+
+
+def test_a_mirrored_picture_is_refused_by_name(folder, tmp_path):
+    shots = Capture.load(folder / "pose2")
+    flipped = np.ascontiguousarray(shots.frames[:, :, ::-1])
+    replace(shots, frames=flipped).save(tmp_path / "flipped")
+    outcome = run_cli(
+        *("calibrate", "board", *poses(folder), tmp_path / "flipped", *BOARD, "--json"),
+        *("--out", tmp_path / "rig.yaml"),
+    )
+    assert outcome.status == 0, outcome.err
+    (why,) = json.loads(outcome.out)["refused"].values()
+    assert "mirrored" in why
+    assert "flipped" in why
