@@ -60,13 +60,20 @@ def _meet(device, pixels, z):
 
 
 def _column(projector, point, direction, column, axis):
-    """Newton along the ray until the panel column (or row) is met."""
+    """Newton along the ray until the panel column (or row) is met.
+
+    Rays nearly in its surface may meet it nowhere that the projector sees: to first order there.
+    """
     found = point.copy()
+    beside = [projector.project(p)[:, axis] - column for p in (point, point + 1e-3 * direction)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        first = 1e-3 * beside[0] / (beside[0] - beside[1])
     for _ in range(30):
         pixel, jacobian = projector.project_with_jacobian(found)
         slope = np.einsum("ni,ni->n", jacobian[:, axis], direction)
         found += ((column - pixel[:, axis]) / slope)[:, None] * direction
-    return found
+    met = np.abs(projector.project(found)[:, axis] - column) < 1e-9
+    return np.where(met[:, None], found, point + first[:, None] * direction)
 
 
 def _midpoint(a, d, b, q):

@@ -58,6 +58,28 @@ def test_rows_are_predicted_as_the_reference_does(hardware):
         np.testing.assert_allclose(got, expected[:4], rtol=1e-9)
 
 
+@pytest.mark.parametrize("hardware", [MACRO, BENT], ids=["thin lenses", "distorted"])
+def test_rays_along_a_column_have_an_error_like_any(hardware):
+    """Columns above the projector: many rays meet theirs where no lens sees it, or never."""
+    hardware = replace(hardware, coded_axes="u")
+    result = Evaluator(hardware).evaluate(hardware.place(ALL_ABOVE))
+    both = replace(hardware, coded_axes="uv")
+    every = Evaluator(both).evaluate(both.place(ALL_ABOVE)).n_points
+    np.testing.assert_array_equal(result.n_points, every)
+    for k, each in enumerate(ALL_ABOVE):
+        expected = reference(hardware, DesignVariables(*each))
+        # To first order by differences a micrometre apart, of rays along which little changes.
+        np.testing.assert_allclose(result.mu_mm[k], expected[0], rtol=1e-4)
+
+
+def test_a_lens_that_hardly_distorts_has_the_errors_of_one_that_does_not():
+    plain = errors(replace(MACRO, coded_axes="u"), ALL_ABOVE)
+    for k1, within in ((1e-3, 3e-4), (1e-6, 3e-7)):
+        bent = replace(MACRO.projector, distortion=(k1, 0.0, 0.0, 0.0, 0.0))
+        hardware = replace(MACRO, projector=bent, coded_axes="u")
+        np.testing.assert_allclose(errors(hardware, ALL_ABOVE), plain, rtol=within)
+
+
 def test_one_axis_is_that_of_the_smaller_error():
     rng = np.random.default_rng(3)
     low, high = (250, -500, -500, 0, -1, -1), (1000, 500, 500, 500, 1, 1)

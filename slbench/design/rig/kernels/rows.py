@@ -30,6 +30,8 @@ EDGE_RAY, EDGE_COLUMN = 0.25, 0.75
 #: How far edges are moved, panel pixels: a thousand times the rounding of a coordinate of some
 #: thousand pixels.
 _HAIR = 1e-9
+#: Steps at most, and panel pixels within which a column is met: some roundings of a coordinate.
+_SECANTS, _MET = 30, 1e-11
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -262,20 +264,29 @@ def _camera_ray(point, optics):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _curved_column_error(point, ray, column, lens):  # type: ignore[no-untyped-def]
-    """Distance along the camera's ray to where it meets a panel column, by secants."""
+    """Distance along the camera's ray to where it meets a panel column, by secants.
+
+    A ray nearly in the column's surface meets it far away, if the lens sees it there at all: where
+    the secants leave the projector's field, or come to no end, the distance is that to first order.
+    """
     t, t_next = 0.0, 1e-3
     f = _project(point[0], point[1], point[2], lens)[0] - column
-    for _ in range(30):
+    first, slope = f, 0.0
+    for k in range(_SECANTS):
         x, y, z = (
             point[0] + t_next * ray[0],
             point[1] + t_next * ray[1],
             point[2] + t_next * ray[2],
         )
         f_next = _project(x, y, z, lens)[0] - column
-        if f_next == f or abs(f_next) < 1e-12:
+        if k == 0:
+            slope = (f_next - f) / t_next
+        if abs(f_next) < _MET:
+            return abs(t_next)
+        if not abs(f_next - f) > 0.0:
             break
         t, t_next, f = t_next, t_next - f_next * (t_next - t) / (f_next - f), f_next
-    return abs(t_next)
+    return abs(first / slope)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
