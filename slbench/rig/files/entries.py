@@ -108,8 +108,8 @@ def rig_entries(paths: str | Path | Sequence[str | Path], stated: Stated | None 
     stated = stated or Stated()
     if len(sources) == 1 and any(key in sources[0].storage for key in _OWN):
         if stated != Stated():
-            expected = "none of unit, sizes, order and pixels, which a file of slbench's own has"
-            raise InputError(sources[0].path, expected, "some")
+            expected = "no unit, size, pitch, order or first pixel beside a file of slbench's own"
+            raise InputError(sources[0].path, expected, "some of them")
         return Entries(path=sources[0].path, values=sources[0].storage)
     name = format_of(sources)
     if name is None:

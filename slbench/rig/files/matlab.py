@@ -23,6 +23,7 @@ from slbench.core.registry import quoted
 from slbench.core.units import MILLIMETRES
 from slbench.rig.files.base import CalibratedDevice, Calibration, RigFormat, vector
 from slbench.rig.files.source import Source
+from slbench.rig.pose import checked_rotation
 
 #: Words for units in ``WorldUnits``.
 _UNITS = {
@@ -89,15 +90,19 @@ def _motion(
     names = ("RotationOfCamera2", "TranslationOfCamera2")
     if all(name in values for name in names):
         places = dict(zip("RT", map(source.place, names), strict=True))
-        # Points are rows there.
-        rotation = vector(values[names[0]], places["R"], (9,)).reshape(3, 3).T
+        rotation = _transposed(values[names[0]], places["R"])
         return rotation, vector(values[names[1]], places["T"], (3,)), places
     pose = _fields(values.get("PoseCamera2"))
     if not {"R", "Translation"} <= pose.keys():
         raise InputError(source.place(names[0]), "this field, or PoseCamera2 with its R", "nothing")
     places = {"R": source.place("PoseCamera2.R"), "T": source.place("PoseCamera2.Translation")}
-    rotation = vector(pose["R"], places["R"], (9,)).reshape(3, 3).T
+    rotation = _transposed(pose["R"], places["R"])
     return rotation, -rotation @ vector(pose["Translation"], places["T"], (3,)), places
+
+
+def _transposed(value: Any, place: str) -> np.ndarray:
+    """Return the inverse of a rotation, which is refused as it stands where it is none."""
+    return checked_rotation(vector(value, place, (9,)).reshape(3, 3), place).T
 
 
 def _device(source: Source, values: Mapping[str, Any], number: int) -> CalibratedDevice:

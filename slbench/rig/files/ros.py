@@ -30,6 +30,7 @@ from slbench.rig.files.base import (
     vector,
 )
 from slbench.rig.files.source import Source
+from slbench.rig.pose import checked_rotation
 
 _LENSES = {"plumb_bob": (4, 5), "rational_polynomial": (8,), "none": (0, 4, 5)}
 
@@ -203,11 +204,10 @@ def _rectified(first: Source, second: Source) -> tuple[Array, Array, str]:
         shifts.append(
             np.zeros(3) if singular else np.linalg.solve(projection[:, :3], projection[:, 3])
         )
-        turns.append(
-            _numbers(source, values, "rectification_matrix", (9,)).reshape(3, 3)
-            if "rectification_matrix" in values
-            else np.eye(3)
-        )
+        turn = np.eye(3)
+        if "rectification_matrix" in values:
+            turn = _numbers(source, values, "rectification_matrix", (9,)).reshape(3, 3)
+        turns.append(checked_rotation(turn, source.place("rectification_matrix")))
     if not np.any(shifts[1] != shifts[0]):
         expected = "a rectified pair's shift, or a third file with R and T (metres) or a transform"
         raise InputError(second.place("projection_matrix"), expected, "none")

@@ -189,3 +189,13 @@ def test_files_of_matlab_that_cannot_be_read(tmp_path):
     savemat(path, values)
     with pytest.raises(InputError, match=r"CameraParameters2\.IntrinsicMatrix: expected this"):
         read_rig(path, stated=Stated(order="camera-projector"))
+
+
+def test_no_rotation_is_quoted_as_it_stands_in_the_file(tmp_path):
+    values = structure()
+    values["RotationOfCamera2"] = R.T + 0.01 * np.eye(3)[0]
+    savemat(tmp_path / "stereo.mat", values)
+    with pytest.raises(InputError) as caught:
+        read_rig(tmp_path / "stereo.mat", stated=Stated(order="camera-projector"))
+    own = values["RotationOfCamera2"].tolist()
+    assert f"RotationOfCamera2: expected a rotation, to 0.001, got {own}" in str(caught.value)

@@ -170,7 +170,7 @@ def test_a_file_of_no_format_says_what_it_has(tmp_path):
 
 def test_our_own_files_take_no_options(tmp_path):
     path = storage(tmp_path / "rig.yml", K_camera=K_CAMERA, K_projector=K_PROJECTOR)
-    with pytest.raises(InputError, match="none of unit, sizes, order and pixels"):
+    with pytest.raises(InputError, match="no unit, size, pitch, order or first pixel beside"):
         read_rig(path, stated=ALL)
 
 
