@@ -122,7 +122,7 @@ def _titles() -> str:
 
 
 def _described(sources: Sequence[Source]) -> str:
-    keys = [str(key) for one in sources for key in (one.storage or one.yaml or one.matlab)]
+    keys = [str(key) for one in sources for key in (one.arrays or one.yaml)]
     more = " ..." if len(keys) > _MOST else ""
     return f"entries {', '.join(keys[:_MOST])}{more}" if keys else "none of them"
 

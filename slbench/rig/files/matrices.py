@@ -4,7 +4,8 @@
 with ``cv2.FileStorage``: ``M1 D1 M2 D2 R T`` in OpenCV's own sample (in two files, intrinsics and
 extrinsics), ``camera_matrix_left``, ``distCoeffs2``, ``cam_K`` and ``proj_kc``.  A name is
 recognised by a word for what it is and one for the device, in either order; what K is and what its
-distortion tells the shape.  Two files of one device each, and one of the motion, are as good.
+distortion tells the shape.  Two files of one device each, and one of the motion, are as good, and
+so are files of other programs that give names to arrays: NumPy's ``savez``, MATLAB's, JSON.
 
 The motion is that of ``cv2.stereoCalibrate``: ``X_second = R X_first + T``.  Pixels are OpenCV's.
 """
@@ -72,7 +73,7 @@ class _Entries:
     def __init__(self, sources: Sequence[Source]) -> None:
         self.found: dict[str, list[tuple[str, Any]]] = {}
         for source in sources:
-            for key, value in source.storage.items():
+            for key, value in source.arrays.items():
                 place = source.place(key)
                 self.found.setdefault(_plain(key), []).append((place, value))
 
@@ -193,12 +194,12 @@ class NamedFile(RigFormat):
     def recognises(self, sources: Sequence[Source]) -> bool:
         """Return whether a file has both matrices and the rotation by these names."""
         wanted = {self.names[key] for key in ("K_camera", "K_projector", "R")}
-        return any(wanted <= source.storage.keys() for source in sources)
+        return any(wanted <= source.arrays.keys() for source in sources)
 
     def read(self, sources: Sequence[Source]) -> Calibration:
         """Return what the file says."""
         (source,) = (one for one in sources if self.recognises([one]))
-        values, names = source.storage, self.names
+        values, names = source.arrays, self.names
 
         def numbers(key: str, sizes: Sequence[int]) -> Any:
             place = source.place(names[key])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Mapping
 from functools import cached_property
@@ -11,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from slbench.core.errors import InputError
-from slbench.core.io import read_opencv_yaml
+from slbench.core.io import read_npz, read_opencv_yaml
 from slbench.core.io.atomic import existing
 from slbench.core.io.bounds import check_size
 from slbench.core.io.matfile import is_mat, read_mat
@@ -21,8 +22,8 @@ from slbench.core.io.text import read_text
 _LARGEST = 64_000_000
 #: How OpenCV's files begin: YAML, XML or JSON.
 _STORAGE = re.compile(r"\s*(%YAML[ :]|<\?xml|\{\s*\")")
-#: How files of MATLAB 7.3 begin.
-_HDF5, _MATLAB_7_3 = b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3 MAT-file"
+#: How files of MATLAB 7.3 and NumPy's archives begin.
+_HDF5, _MATLAB_7_3, _NPZ = b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3 MAT-file", b"PK\x03\x04"
 #: An assignment of numbers in a program of MATLAB.
 _ASSIGNMENT = re.compile(r"^\s*([A-Za-z]\w*)\s*=\s*(\[[^\]]*\]|[-+.\w]+)\s*;?", re.MULTILINE)
 
@@ -53,7 +54,7 @@ class Source:
     @cached_property
     def text(self) -> str:
         """The text; empty where the file is none."""
-        if is_mat(self.head) or self.head.startswith((_HDF5, _MATLAB_7_3)):
+        if is_mat(self.head) or self.head.startswith((_HDF5, _MATLAB_7_3, _NPZ)):
             return ""
         return read_text(self.path, "a calibration", _LARGEST)
 
@@ -74,6 +75,18 @@ class Source:
         except (yaml.YAMLError, ValueError, RecursionError):
             return {}
         return values if isinstance(values, dict) else {}
+
+    @cached_property
+    def arrays(self) -> Mapping[str, Any]:
+        """The entries of any file that gives names to arrays.
+
+        OpenCV's, NumPy's ``savez``, MATLAB's, and lists of numbers in YAML or JSON.
+        """
+        if self.head.startswith(_NPZ):
+            return read_npz(self.path)
+        if self.text.lstrip().startswith("{"):
+            return {**self.storage, **_of_lists(_json(self.text))}
+        return self.storage or _of_lists(self.yaml) or self.matlab
 
     @cached_property
     def matlab(self) -> Mapping[str, Any]:
@@ -98,6 +111,28 @@ class Source:
     def place(self, key: str) -> str:
         """Return the file and an entry of it, for messages."""
         return f"{self.path}: {key}"
+
+
+def _json(text: str) -> Mapping[str, Any]:
+    try:
+        values = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
+def _of_lists(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return lists of numbers as arrays, and texts and numbers as they are."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, list):
+            try:
+                found[str(name)] = np.array(value, dtype=np.float64)
+            except (TypeError, ValueError, OverflowError):  # of texts, of other lengths
+                continue
+        elif isinstance(value, int | float | str):
+            found[str(name)] = value
+    return found
 
 
 def _numbers(text: str) -> np.ndarray | None:

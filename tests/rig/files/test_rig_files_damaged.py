@@ -1,9 +1,11 @@
 """Damaged files of every format: read, or refused as input."""
 
 import contextlib
+import json
 import warnings
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from calibrations import K_CAMERA, K_PROJECTOR, SIZE_CAMERA, SIZE_PROJECTOR, R, T, storage
 from hypothesis import HealthCheck, given, settings
@@ -19,11 +21,17 @@ from slbench.rig.opencv import read_rig
 ALL = Stated(unit="mm", sizes_px={"camera": SIZE_CAMERA, "projector": SIZE_PROJECTOR})
 
 
+KINDS = (*("opencv", "xml", "numpy", "json", "bouguet", "program", "matlab", "ros", "mrcal"),)
+
+
 def made(folder):
     """Return the files of each format, the first of which is to be damaged."""
     savemat(folder / "b.mat", bouguet())
     savemat(folder / "s.mat", structure())
     (folder / "b.m").write_text(as_program(bouguet()))
+    np.savez(folder / "a.npz", K1=K_CAMERA, K2=K_PROJECTOR, R=R, T=T)
+    lists = {"K1": K_CAMERA.tolist(), "K2": K_PROJECTOR.tolist(), "R": R.tolist(), "T": T.tolist()}
+    (folder / "a.json").write_text(json.dumps(lists))
     opencv = {"M1": K_CAMERA, "M2": K_PROJECTOR, "R": R, "T": T}
     infos = [
         info(folder / f"{name}.yaml", name, k, [0.1, 0.0, 0.0, 0.0, 0.0], size)
@@ -35,6 +43,8 @@ def made(folder):
     return {
         "opencv": [storage(folder / "o.yml", **opencv)],
         "xml": [storage(folder / "o.xml", **opencv)],
+        "numpy": [folder / "a.npz"],
+        "json": [folder / "a.json"],
         "bouguet": [folder / "b.mat"],
         "program": [folder / "b.m"],
         "matlab": [folder / "s.mat"],
@@ -43,7 +53,7 @@ def made(folder):
     }
 
 
-@pytest.mark.parametrize("kind", ["opencv", "xml", "bouguet", "program", "matlab", "ros", "mrcal"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_damaged_file_is_no_fault_of_ours(kind, tmp_path):
     files = made(tmp_path)[kind]
     whole = files[0].read_bytes()

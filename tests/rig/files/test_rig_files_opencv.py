@@ -1,10 +1,12 @@
 """OpenCV's matrices by the names that programs give them, in one file or two."""
 
+import json
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 from calibrations import (
     DIST_CAMERA,
     DIST_PROJECTOR,
@@ -18,6 +20,8 @@ from calibrations import (
     assert_projects,
     storage,
 )
+from scipy.io import savemat
+from test_rig_files_matlab import as_program
 
 from slbench.core.errors import InputError
 from slbench.rig.files.base import CalibratedDevice
@@ -214,3 +218,37 @@ def test_what_else_is_written_beside_is_of_no_account(tmp_path):
 def test_what_a_name_tells(name, role):
     device = CalibratedDevice(name=name, matrix=np.eye(3), distortion=np.empty(0))
     assert device.role == role
+
+
+STEREO = {"mtx1": K_CAMERA, "dist1": DIST_CAMERA, "mtx2": K_PROJECTOR, "dist2": DIST_PROJECTOR}
+STEREO |= {"R": R, "T": T[:, None]}
+
+
+@pytest.mark.parametrize("kind", ["npz", "json", "yaml", "mat", "m"])
+def test_any_file_that_gives_names_to_arrays(kind, tmp_path):
+    path = tmp_path / f"stereo.{kind}"
+    lists = {name: value.tolist() for name, value in STEREO.items()} | {"note": "by hand"}
+    if kind == "npz":
+        np.savez(path, **STEREO)
+    elif kind == "mat":
+        savemat(path, STEREO)
+    elif kind == "m":
+        path.write_text(as_program(STEREO))
+    else:
+        path.write_text(json.dumps(lists) if kind == "json" else yaml.safe_dump(lists))
+    assert_projects(read_rig(path, stated=ALL))
+    assert rig_entries(path, ALL).format == "opencv"
+
+
+def test_moreno_and_taubin_s_program_for_matlab(tmp_path):
+    names = ("cam_K", "cam_kc", "proj_K", "proj_kc", "R", "T")
+    (tmp_path / "calibration.m").write_text(
+        as_program(dict(zip(names, STEREO.values(), strict=True)))
+    )
+    assert_projects(read_rig(tmp_path / "calibration.m", stated=replace(UNIT, unit=None)))
+
+
+def test_an_archive_that_is_none(tmp_path):
+    np.savez(tmp_path / "a.npz", mtx1=K_CAMERA, boards=np.array([{}], dtype=object))
+    with pytest.raises(InputError, match=r"a\.npz: boards: expected a plain array"):
+        read_rig(tmp_path / "a.npz", stated=ALL)
