@@ -34,13 +34,17 @@ _LARGEST = 64_000_000
 
 
 class OtherArray:
-    """An array that is not read: cells, an object of MATLAB's classes, complex numbers."""
-
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    """An array that is not read: cells, several structures, complex or sparse numbers."""
 
     def __repr__(self) -> str:
-        return self.kind
+        return "cells, structures, complex or sparse numbers"
+
+
+class MatlabObject(OtherArray):
+    """An object of one of MATLAB's classes."""
+
+    def __repr__(self) -> str:
+        return "an object that only MATLAB can read"
 
 
 def is_mat(head: bytes) -> bool:
@@ -138,7 +142,7 @@ def _array(content: bytes, order: str, depth: int) -> tuple[str, Any]:
     kind, marks = int(flags[0]) & 0xFF, int(flags[0]) >> 8
     second = _next(parts)
     if kind == _OPAQUE:
-        return second[1].decode("ascii"), OtherArray("an object that only MATLAB can read")
+        return second[1].decode("ascii"), MatlabObject()
     shape = [int(length) for length in _numbers(second, order)]
     if len(shape) < 2 or min(shape) < 0:
         raise ValueError("an array without sides")
@@ -148,7 +152,7 @@ def _array(content: bytes, order: str, depth: int) -> tuple[str, Any]:
     if kind == _TEXT:
         return name, _text(_next(parts), order)
     if kind not in _OF_NUMBERS or marks & _COMPLEX:
-        return name, OtherArray("cells, an object, complex or sparse numbers")
+        return name, OtherArray()
     values = _numbers(_next(parts), order).astype(np.float64)
     if values.size != count:
         raise ValueError(f"{values.size} numbers of {count}")

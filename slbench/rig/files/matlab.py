@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from slbench.core.errors import InputError
-from slbench.core.io.matfile import OtherArray
+from slbench.core.io.matfile import MatlabObject
 from slbench.core.registry import quoted
 from slbench.core.units import MILLIMETRES
 from slbench.rig.files.base import CalibratedDevice, Calibration, RigFormat, vector
@@ -81,7 +81,7 @@ def _structure(values: Mapping[str, Any]) -> Mapping[str, Any] | None:
 
 
 def _is_object(values: Mapping[str, Any]) -> bool:
-    return any(isinstance(value, OtherArray) for value in values.values())
+    return any(isinstance(value, MatlabObject) for value in values.values())
 
 
 def _motion(

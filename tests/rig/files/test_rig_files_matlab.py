@@ -1,5 +1,7 @@
 """MATLAB: Bouguet's toolbox, 0-based, and stereoParameters, transposed and 1-based."""
 
+import struct
+
 import numpy as np
 import pytest
 from calibrations import (
@@ -199,3 +201,17 @@ def test_no_rotation_is_quoted_as_it_stands_in_the_file(tmp_path):
         read_rig(tmp_path / "stereo.mat", stated=Stated(order="camera-projector"))
     own = values["RotationOfCamera2"].tolist()
     assert f"RotationOfCamera2: expected a rotation, to 0.001, got {own}" in str(caught.value)
+
+
+def test_an_object_is_refused_with_what_to_do(tmp_path):
+    """As ``save('stereo.mat', 'stereoParams')`` writes it: class 17, which nobody documents."""
+
+    def element(kind, content):
+        return struct.pack("<II", kind, len(content)) + content + b"\0" * (-len(content) % 8)
+
+    content = element(6, struct.pack("<II", 17, 0)) + element(1, b"stereoParams")
+    content += element(1, b"MCOS") + element(1, b"stereoParameters")
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
+    (tmp_path / "stereo.mat").write_bytes(head + element(14, content))
+    with pytest.raises(InputError, match=r"s = toStruct\(stereoParams\).* only MATLAB can read"):
+        read_rig(tmp_path / "stereo.mat")

@@ -231,7 +231,7 @@ def test_any_file_that_gives_names_to_arrays(kind, tmp_path):
     if kind == "npz":
         np.savez(path, **STEREO)
     elif kind == "mat":
-        savemat(path, STEREO)
+        savemat(path, STEREO | {"pictures": np.array(["a.png", 7], dtype=object)})
     elif kind == "m":
         path.write_text(as_program(STEREO))
     else:
