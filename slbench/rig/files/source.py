@@ -20,6 +20,8 @@ from slbench.core.io.text import read_text
 
 #: Bytes of a file: a calibration with all its pictures' points.
 _LARGEST = 64_000_000
+#: Characters of YAML that is not OpenCV's, whose readers are slow.
+_LARGEST_YAML = 1_000_000
 #: How OpenCV's files begin: YAML, XML or JSON.
 _STORAGE = re.compile(r"\s*(%YAML[ :]|<\?xml|\{\s*\")")
 #: How files of MATLAB 7.3 and NumPy's archives begin.
@@ -66,12 +68,16 @@ class Source:
     @cached_property
     def yaml(self) -> Mapping[str, Any]:
         """The entries of a YAML file that is not OpenCV's; none where it is no such file."""
-        if not self.text or _STORAGE.match(self.text):
+        if len(self.text) > _LARGEST_YAML or _STORAGE.match(self.text):
             return {}
         import yaml
 
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         try:
-            values = yaml.load(self.text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+            # A few lines of aliases stand for more numbers than there is memory.
+            if any(isinstance(one, yaml.AliasEvent) for one in yaml.parse(self.text, loader)):
+                return {}
+            values = yaml.load(self.text, loader)
         except (yaml.YAMLError, ValueError, RecursionError):
             return {}
         return values if isinstance(values, dict) else {}

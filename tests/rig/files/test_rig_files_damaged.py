@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import tracemalloc
 import warnings
 from dataclasses import replace
 
@@ -78,3 +79,14 @@ def test_a_damaged_file_is_no_fault_of_ours(kind, tmp_path):
                 read_rig(files, stated=replace(ALL, order=order))
 
     damaged()
+
+
+def test_a_few_lines_that_stand_for_many_numbers(tmp_path):
+    lines = ["a0: &a0 [1, 2, 3, 4, 5, 6, 7, 8, 9, 10]"]
+    lines += [f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]" for k in range(1, 12)]
+    (tmp_path / "bomb.yaml").write_text("\n".join([*lines, "camera_matrix: *a11", ""]))
+    tracemalloc.start()
+    with pytest.raises(InputError, match=r"bomb\.yaml: expected a rig"):
+        read_rig(tmp_path / "bomb.yaml")
+    assert tracemalloc.get_traced_memory()[1] < 2**25
+    tracemalloc.stop()
