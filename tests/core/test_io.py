@@ -568,3 +568,28 @@ def test_opencv_yaml_reads_arrays_of_one_dimension(tmp_path):
     storage.release()
     found = io.read_opencv_yaml(tmp_path / "rig.yml")["T"]
     np.testing.assert_array_equal(np.ravel(found), [1.0, -2.0, 3.5])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "%YAML:1.0\n---\na: " + "[" * 100_000,
+        "%YAML:1.0\n---\na: " + "{b: " * 100_000,
+        "%YAML:1.0\n---\n" + "".join(" " * k + "a:\n" for k in range(3000)),
+        "%YAML:1.0\n---\na:\n  " + "- " * 30_000,
+        '{"a": ' + "[" * 900_000,
+        '<?xml version="1.0"?><opencv_storage>' + "<a>" * 100_000,
+    ],
+    ids=["lists", "maps", "indented", "dashes", "json", "xml"],
+)
+def test_entries_within_entries_without_end_are_refused(text, tmp_path):
+    """OpenCV's parser calls itself for each, until the process has no stack."""
+    (tmp_path / "deep.yml").write_text(text)
+    with pytest.raises(InputError, match=r"deep\.yml: expected an OpenCV YAML file"):
+        io.read_opencv_yaml(tmp_path / "deep.yml")
+
+
+def test_entries_within_entries_are_read(tmp_path):
+    nested = "[" * 50 + "1" + "]" * 50
+    (tmp_path / "a.yml").write_text(f'%YAML:1.0\n---\na: {nested}\nb: "{"[" * 60}"\nc: 2\n')
+    assert io.read_opencv_yaml(tmp_path / "a.yml")["c"] == 2

@@ -21,6 +21,13 @@ from slbench.core.io.text import read_text
 _LARGEST = 64_000_000
 #: Channels of a matrix, if not one, and the type of its values.
 _MATRIX_KIND = re.compile(r"([1-9][0-9]?)?[A-Za-z]")
+#: Entries in entries: a calibration has a few.
+_DEEPEST = 100
+_OPENING, _CLOSING = ([ord(one) for one in pair] for pair in ("[{", "]}"))
+#: Lines of YAML so far to the right, or so many lists in a line; and tags of XML: closing, opening
+#: and closed in one.
+_INDENTED = re.compile(rf"^(?: {{1000}}|\s*(?:-\s+){{{_DEEPEST}}})", re.MULTILINE)
+_TAG = re.compile(r"<(/?)[A-Za-z_][^<>]*?(/?)>")
 _KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 
 
@@ -119,7 +126,7 @@ def read_opencv_yaml(path: str | Path) -> dict[str, Any]:
     text = read_text(path, "an OpenCV YAML file", _LARGEST)
     values: dict[str, Any] = {}
     try:
-        if "\0" in text:
+        if "\0" in text or _deep(text):
             raise SystemError
         storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
         try:
@@ -133,6 +140,21 @@ def read_opencv_yaml(path: str | Path) -> dict[str, Any]:
     except (cv2.error, SystemError, UnicodeDecodeError) as error:
         raise InputError(path, "an OpenCV YAML file", "one that OpenCV cannot read") from error
     return values
+
+
+def _deep(text: str) -> bool:
+    """Return whether entries stand in each other without end, which takes OpenCV's parser down."""
+    characters = np.frombuffer(text.encode(), np.uint8)
+    steps = np.isin(characters, _OPENING).astype(np.int8) - np.isin(characters, _CLOSING)
+    if np.cumsum(steps, dtype=np.int64).max(initial=0) > _DEEPEST or _INDENTED.search(text):
+        return True
+    depth = 0
+    for tag in _TAG.finditer(text) if text.lstrip().startswith("<") else ():
+        if not tag[2]:
+            depth += -1 if tag[1] else 1
+        if depth > _DEEPEST:
+            return True
+    return False
 
 
 def _value(node: Any, where: str) -> Any:
