@@ -41,6 +41,10 @@ Mask = NDArray[np.bool_]
 
 #: Scale of Cauchy's loss, in deviations.
 _CAUCHY = 3.0
+#: Length of the first step that may be taken, in deviations of all residuals together.
+_FIRST_STEP = 1e4
+#: Residual of what cannot be projected, in deviations.
+_FAR = 1e6
 #: Rounds of judging points and fitting again.
 _ROUNDS = 12
 #: A pose scatters more than the others beyond this ratio of robust scales; of few points more.
@@ -205,13 +209,14 @@ def _solved(
         try:
             rig, poses = unpacked(x)
         except ValueError:  # no such lens: a step too far
-            return np.full(sum(4 * len(view) for view in some), np.inf)
-        return np.concatenate(
+            return np.full(sum(4 * len(view) for view in some), _FAR)
+        off = np.concatenate(
             [
                 (residuals(rig, pose, view) * weight).ravel()
                 for pose, view, weight in zip(poses, some, parts, strict=True)
             ]
         )
+        return np.nan_to_num(off, nan=_FAR)  # beyond the fold of a lens, or behind it
 
     def slope(x: Array) -> Array:
         rig, poses = unpacked(x)
@@ -227,10 +232,13 @@ def _solved(
             rows.append((block * weight[..., None]).reshape(-1, size))
         return np.concatenate(rows)
 
+    # The first radius of the trust region is the size of the start: that of steps worth trying.
+    offset = np.zeros(size)
+    offset[0] = _FIRST_STEP / max(float(np.linalg.norm(slope(offset)[:, 0])), 1e-300)
     found = least_squares(
-        value,
-        np.zeros(size),
-        jac=slope,
+        lambda x: value(x - offset),
+        offset,
+        jac=lambda x: slope(x - offset),
         x_scale="jac",
         loss="cauchy" if robust else "linear",
         f_scale=_CAUCHY,
@@ -238,7 +246,7 @@ def _solved(
         xtol=1e-10,
         ftol=1e-4 if robust else 1e-8,
     )
-    rig, poses = unpacked(found.x)
+    rig, poses = unpacked(found.x - offset)
     return replace(state, rig=rig, poses=tuple(poses))
 
 
