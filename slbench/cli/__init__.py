@@ -36,6 +36,7 @@ SECTIONS = {
         "fuse": "slbench.cli.fuse:fuse",
         "register": "slbench.cli.register:register_views",
         "calibrate": "slbench.cli.calibrate:group",
+        "characterise": "slbench.cli.characterise:characterise",
     },
     "Judge": {
         "compare": "slbench.cli.compare:compare",

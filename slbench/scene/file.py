@@ -5,7 +5,8 @@ to the scene's folder and cannot leave it.
 
 ``extends = "..."`` takes everything from another scene first: tables are merged key by key,
 anything else (lists too) is replaced.  What several scenes share thus stands once, in
-``scenes/hardware``.  A detector or a material of another kind has other keys, and is replaced.
+``scenes/hardware``.  A list of names is taken one after the other.  A detector or a material of
+another kind has other keys, and is replaced.
 
 ``[set]`` changes single keys of what a scene extends, elements of its lists too:
 ``"objects[0].position_mm[2]" = 1.5`` (:mod:`slbench.scene.changes`).  A user's own changes, of
@@ -214,10 +215,24 @@ def _own_changes(table: Any, where: str) -> tuple[Change, ...]:
 def _with_base(
     content: dict[str, Any], base: Any, path: Path, allow_modules: bool, seen: tuple[Path, ...]
 ) -> dict[str, Any]:
-    """Return content merged into the scene that it extends, but for its modules."""
+    """Return content merged into what it extends, each of several before the next."""
     where = f"{path.name}: extends"
+    seen = (*seen, path.resolve())
+    merged: dict[str, Any] = {}
+    modules: tuple[Any, ...] = ()
+    for one in base if isinstance(base, list) and base else [base]:
+        read = read_merged(_base_path(one, where, path, seen), allow_modules, seen)
+        modules += tuple(read.pop("modules", ()))
+        merged = _merged(merged, read)
+    own = {key: value for key, value in content.items() if key != "modules"}
+    return _merged(merged, own) | ({"modules": modules} if modules else {})
+
+
+def _base_path(base: Any, where: str, path: Path, seen: tuple[Path, ...]) -> Path:
+    """Return where a scene is that another extends."""
     if not isinstance(base, str):
-        raise InputError(where, "a scene file beside it or the name of a shipped scene", repr(base))
+        expected = "a scene file beside it or the name of a shipped scene, or a list of them"
+        raise InputError(where, expected, repr(base))
     try:
         if base.lower().endswith(".toml"):
             parent = resources.inside(path.parent, base)
@@ -225,11 +240,9 @@ def _with_base(
             parent = resources.find("scenes", base)
     except InputError as error:
         raise InputError(where, error.expected, error.got) from None
-    seen = (*seen, path.resolve())
     if parent.resolve() in seen:
         raise InputError(where, "a chain of scenes with an end", f"{base}, which comes again")
-    own = {key: value for key, value in content.items() if key != "modules"}
-    return _merged(read_merged(parent, allow_modules, seen), own)
+    return parent
 
 
 def _merged(base: dict[str, Any], content: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,271 @@
+r"""Motion between repeats: vibration and a flickering lamp, told by the repeats' differences.
+
+A repeat that is moved by a little, ``s`` px, and lit by a share ``g`` more differs from the mean of
+all by ``-s . grad f + g f`` and terms in the curvature.  ``s`` and ``g`` are found by least squares
+over the whole picture, smoothed a little first (B. D. Lucas and T. Kanade, Proc. IJCAI, 1981, for
+one displacement of the whole).  Noise in the slopes would make displacements too small; its known
+part is taken out of the normal equations (W. A. Fuller, *Measurement Error Models*, 1987, 2.2).
+
+Displacements of R repeats of K frames are taken apart as in a two-way analysis of variance:
+a mean a frame, a mean a repeat, and what is left, each frame's own, which is the vibration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.calibration.characterise.frames import Shot, unsaturated
+from slbench.calibration.characterise.quantity import LEVEL, Quantity, Untold
+
+Array = NDArray[np.float64]
+
+#: Smoothing of differences and of slopes alike, px.
+_SIGMA = 1.0
+#: A slope by seven pixels and a mean across it (A. Savitzky and M. J. E. Golay, Anal. Chem. 36,
+#: 1964): noise and PRNU, which do not move with the picture, hardly count in it.
+_SLOPE = np.array([22.0, -67.0, -58.0, 0.0, 58.0, 67.0, -22.0]) / 252.0
+_ACROSS = np.array([-2.0, 3.0, 6.0, 7.0, 6.0, 3.0, -2.0]) / 21.0
+#: What is left out beside saturated pixels and the picture's edge, px.
+_BORDER = 5
+#: A displacement is told where its variance by noise is less than this share of all.
+_TOLD = 0.25
+#: Probability by chance of what is taken for vibration.
+_CHANCE = 1e-3
+#: Squared slopes along an axis that tell: of those along the other, and of those with noise.
+_FAINT, _CLEAN = 0.02, 0.2
+#: Times that a displacement is found, and deviations beyond which a pixel is left out of the next.
+_PASSES, _OUTLIER = 3, 6.0
+#: Noise, DN, that rounding alone makes, and how many times its variance the light's contrast is.
+_LEAST_NOISE, _CONTRAST = 0.3, 25.0
+#: Pixels that a displacement needs.
+_LEAST = 400
+
+
+class Moves(NamedTuple):
+    """How each repeat of a frame differs from their mean."""
+
+    shift_px: Array
+    """(R, 2), along u and v."""
+    variance_px2: Array
+    """(2,), of each by noise; infinite where the picture does not tell."""
+    flicker: Array
+    """(R,), relative."""
+    flicker_variance: float
+    """By noise; infinite where the picture does not tell."""
+
+
+def moves_of(stack: NDArray[np.float32], top: float) -> tuple[Moves, NDArray[np.float32]]:
+    """Return how repeats differ from their mean, and the repeats with that taken out.
+
+    Parameters
+    ----------
+    stack : (R, V, U) float32
+    top : float
+        Of the range, DN.
+    """
+    from scipy.ndimage import binary_dilation, gaussian_filter
+
+    count = len(stack)
+    mean = stack.mean(axis=0)
+    good = unsaturated(list(stack), top)
+    kept = ~binary_dilation(~good, iterations=_BORDER)
+    kept[:_BORDER] = kept[-_BORDER:] = False
+    kept[:, :_BORDER] = kept[:, -_BORDER:] = False
+    none = Moves(np.zeros((count, 2)), np.full(2, np.inf), np.zeros(count), np.inf)
+    if np.count_nonzero(kept) < _LEAST:
+        return none, stack
+    first = _slope(mean, 1), _slope(mean, 0)
+    second = _slope(first[0], 1), _slope(first[0], 0), _slope(first[1], 0)
+    pictures = np.stack([*first, mean, np.ones_like(mean)])
+    smooth = gaussian_filter(pictures, (0.0, _SIGMA, _SIGMA))
+    rest = stack - mean
+    differences = gaussian_filter(rest, (0.0, _SIGMA, _SIGMA))
+    found, variance = np.zeros((count, 4)), np.full((count, 4), np.inf)
+    still = rest
+    for _ in range(_PASSES):
+        left = still[:, kept]
+        usual = max(1.4826 * float(np.median(np.abs(left))), _LEAST_NOISE)
+        left = left[np.abs(left) <= _OUTLIER * usual]  # the median of whole numbers is coarse
+        sigma = float(np.sqrt(np.mean(left**2) * count / (count - 1.0))) + 1e-6
+        for k in range(count):
+            # What moves by itself, a hand or a shadow, is no motion of the whole.
+            own = kept & (np.abs(still[k]) <= _OUTLIER * max(sigma, usual))
+            if np.count_nonzero(own) >= _LEAST:
+                found[k], variance[k] = _fitted(differences[k], smooth, own, sigma**2 / count)
+        still = rest - _moved(found.astype(np.float32), pictures, second)
+    # Displacements are relative to the mean of all repeats.
+    spread = sigma**2 * variance.max(axis=0) * (1.0 - 1.0 / count)
+    return Moves(-found[:, :2], spread[:2], found[:, 2], float(spread[2])), still + mean
+
+
+def _moved(
+    found: NDArray[np.float32],
+    pictures: NDArray[np.float32],
+    second: tuple[NDArray[np.float32], ...],
+) -> NDArray[np.float32]:
+    """Return how repeats differ from their mean, (R, V, U), to the square of displacements."""
+    squares = np.stack([0.5 * found[:, 0] ** 2, found[:, 0] * found[:, 1], 0.5 * found[:, 1] ** 2])
+    squares -= squares.mean(axis=1, keepdims=True)
+    own = np.tensordot(found, pictures, axes=1)
+    own += np.tensordot(squares.T, np.stack(second), axes=1)
+    return np.asarray(own)
+
+
+def _slope(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    from scipy.ndimage import correlate1d
+
+    along = correlate1d(values, _SLOPE, axis=axis, mode="nearest")
+    return np.asarray(correlate1d(along, _ACROSS, axis=1 - axis, mode="nearest"))
+
+
+@cache
+def _noise_share() -> float:
+    """Return the variance of a smoothed slope of white noise of unit variance."""
+    from scipy.ndimage import gaussian_filter
+
+    impulse = np.zeros((65, 65), np.float32)
+    impulse[32, 32] = 1.0
+    return float((gaussian_filter(_slope(impulse, 0), _SIGMA).astype(np.float64) ** 2).sum())
+
+
+def _fitted(
+    difference: NDArray[np.float32],
+    pictures: NDArray[np.float32],
+    kept: NDArray[np.bool_],
+    noise: float,
+) -> tuple[Array, Array]:
+    """Return the shares of slopes, light and a constant in a difference, and their variances.
+
+    Parameters
+    ----------
+    difference : (V, U)
+    pictures : (4, V, U)
+        Slopes along u and v, light, a constant; all are smoothed.
+    kept : (V, U) bool
+    noise : float
+        Variance of the noise of the mean of all repeats, DN^2.
+
+    Returns
+    -------
+    shares, variances : (4,) float
+        Zero and infinite where a picture is not told from noise or from a constant; variances are
+        for noise of unit variance.
+    """
+    columns = pictures[:, kept].astype(np.float64)
+    normal = columns @ columns.T
+    corrected = normal.copy()
+    corrected[[0, 1], [0, 1]] -= noise * columns.shape[1] * _noise_share()
+    slope = np.diag(corrected)[:2]
+    # What a displacement along the other axis does to second order would count along a faint one.
+    moved = slope >= np.maximum(_FAINT * slope.max(), _CLEAN * np.diag(normal)[:2])
+    used = np.array([*moved, columns[2].var() > _CONTRAST * noise, True])
+    scale = (np.sqrt(np.diag(normal)) + 1e-12)[used]
+    bread = np.linalg.pinv(corrected[np.ix_(used, used)] / np.outer(scale, scale), rcond=1e-9)
+    bread /= np.outer(scale, scale)
+    found, variance = np.zeros(4), np.full(4, np.inf)
+    found[used] = bread @ (columns[used] @ difference[kept])
+    # Whole sums of smoothed white noise have the variance of those that are not smoothed.
+    variance[used] = np.diag(bread @ normal[np.ix_(used, used)] @ bread)
+    return found, variance
+
+
+def vibration(
+    found: Sequence[Shot], moves: Mapping[int, Moves]
+) -> tuple[list[Quantity], list[Untold]]:
+    """Return the vibration from frame to frame and what is common to the frames of a repeat.
+
+    Parameters
+    ----------
+    found : sequence of Shot
+    moves : mapping of int to Moves
+        Of what was repeated, by its place in `found`.
+    """
+    from scipy.stats import chi2
+
+    name = "vibration"
+    told = [
+        (moves[k], shot)
+        for k, shot in enumerate(found)
+        if k in moves and shot.level is None and np.isfinite(moves[k].variance_px2).any()
+    ]
+    lost = Untold(name, "no fringes were captured twice", "the same set twice or more, in folders")
+    if not told:
+        return [], [lost]
+    # Repeats of as many frames as there are of the usual number; each from another capture.
+    counts = [len(one.shift_px) for one, _ in told]
+    repeats = max(set(counts), key=counts.count)
+    own = [one for one, _ in told if len(one.shift_px) == repeats]
+    squares, freedom, noise, common = 0.0, 0, 0.0, 0.0
+    for axis in range(2):
+        usable = [one for one in own if np.isfinite(one.variance_px2[axis])]
+        if not usable:
+            continue
+        shift = np.stack([one.shift_px[:, axis] for one in usable])  # (K, R), zero mean over R
+        false = float(np.mean([one.variance_px2[axis] for one in usable]))
+        frames = len(shift)
+        together = shift.mean(axis=0)
+        left = shift - together if frames > 1 else shift
+        degrees = (repeats - 1) * max(frames - 1, 1)
+        variance = float((left**2).sum()) / degrees
+        false *= repeats / (repeats - 1.0)
+        if (
+            false > _TOLD * variance or (left**2).sum() / chi2.isf(_CHANCE, degrees) < false
+        ):  # the picture hardly changes along this axis
+            continue
+        squares += variance * degrees
+        noise += false * degrees
+        freedom += degrees
+        if frames > 1:
+            common = max(common, float((together**2).sum()) / (repeats - 1) - variance / frames)
+    if not freedom:
+        largest = min(
+            float(np.sqrt(np.min(one.variance_px2))) for one in own if one.variance_px2.size
+        )
+        why = f"repeats differ by noise alone: less than {2.0 * largest:.2g} px"
+        return [], [Untold(name, why, "finer fringes or more light, if that is not little enough")]
+    mean, false = squares / freedom, noise / freedom
+    ends = squares / chi2.ppf([0.5 + 0.5 * LEVEL, 0.5 - 0.5 * LEVEL], freedom)
+    value, low, high = (float(np.sqrt(max(x - false, 0.0))) for x in (mean, *ends))
+    method = f"displacements of {repeats} repeats of {len(own)} frames, each frame's own"
+    rest = Quantity(
+        name=name,
+        value=value,
+        low=low,
+        high=high,
+        unit="px",
+        method=method,
+        key=("exposure", "vibration_px"),
+        note=(
+            f"what the frames of a repeat share is apart: {np.sqrt(common):.2g} px"
+            if common > 0.0
+            else ""
+        ),
+    )
+    return [rest], []
+
+
+def flicker(moves: Mapping[int, Moves]) -> list[Quantity]:
+    """Return how much the light differs from repeat to repeat, relative."""
+    from scipy.stats import chi2
+
+    told = [one for one in moves.values() if np.isfinite(one.flicker_variance)]
+    freedom = sum(len(one.flicker) - 1 for one in told)
+    squares = sum(float((one.flicker**2).sum()) for one in told)
+    if not freedom:
+        return []
+    false = sum(len(one.flicker) * one.flicker_variance for one in told) / freedom
+    ends = squares / chi2.ppf([0.5 + 0.5 * LEVEL, 0.5 - 0.5 * LEVEL], freedom)
+    value, low, high = (float(np.sqrt(max(x - false, 0.0))) for x in (squares / freedom, *ends))
+    method = f"brightness of {freedom + len(told)} repeated frames"
+    if low == 0.0:  # none that would be seen
+        return []
+    return [
+        Quantity(
+            name="flicker", value=value, low=low, high=high, unit="of the light", method=method
+        )
+    ]

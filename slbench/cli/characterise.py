@@ -1,0 +1,67 @@
+"""``slbench characterise``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slbench.cli.common import AllowModules, AllowOutside, Json, print_json, print_table
+from slbench.cli.lazy import command
+from slbench.core.errors import InputError
+from slbench.core.validation.types import Grey
+
+
+@command("slbench characterise run1 run2 run3 --out hardware.toml")
+def characterise(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(help="Captures of one camera and projector; of the same patterns: repeats."),
+    ],
+    out: Annotated[Path, typer.Option(help="File to write to (.toml).")] = Path("hardware.toml"),
+    black_dn: Annotated[
+        Grey | None,
+        typer.Option(help="Black level, DN.  [default: by the black frames]"),
+    ] = None,
+    picture: Annotated[
+        bool, typer.Option("--picture/--no-picture", help="Draw NAME-characterise.png.")
+    ] = True,
+    allow_modules: AllowModules = False,
+    allow_outside: AllowOutside = False,
+    as_json: Json = False,
+) -> None:
+    """Measure what a real camera and projector are, for scenes.
+
+    Captures may be simulated or photographed.
+    """
+    from slbench.calibration.characterise.hardware import hardware_output, write_hardware
+    from slbench.calibration.characterise.measure import characterise as measured
+    from slbench.capture.capture import Capture
+    from slbench.core.io import check_output_file
+
+    check_output_file(out, (".toml",))
+    hardware_output(out).check(out.parent, "--out")
+    names = [str(folder) for folder in folders]
+    if len(set(names)) < len(names):
+        twice = next(name for name in names if names.count(name) > 1)
+        raise InputError("folders", "each folder once: it is no repeat of itself", twice)
+    captures = {
+        name: Capture.load(name, allow_modules=allow_modules, allow_outside=allow_outside)
+        for name in names
+    }
+    found = measured(captures, black_dn=black_dn)
+    files = {}
+    if picture:
+        from slbench.report.plots.characterise import write_characterisation_picture
+
+        files[f"{out.stem}-characterise.png"] = write_characterisation_picture
+    write_hardware(found, out, files)
+    if as_json:
+        print_json(found.to_dict() | {"out": str(out)})
+        return
+    print_table(found.table())
+    for lost in found.untold:
+        print(f"{lost.name}: not told, {lost.why}; capture {lost.capture}")
+    beside = out.with_name(f"{out.stem}-characterise.png")
+    print(f"Written to {out}" + (f": open {beside}" if picture else ""))

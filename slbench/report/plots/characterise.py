@@ -1,0 +1,60 @@
+"""The picture of a characterisation: photon transfer, and what else was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from slbench.calibration.characterise.measure import Characterisation
+from slbench.core.show.drawing import save_png
+
+
+def characterisation_figure(found: Characterisation) -> Figure:
+    """Draw the curves that numbers were read from, one panel each.
+
+    Parameters
+    ----------
+    found : Characterisation
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    drawers = [draw for has, draw in _PANELS if has(found)]
+    count = max(len(drawers), 1)
+    figure = Figure(figsize=(5.0 * count, 4.2), dpi=90, layout="constrained")
+    panels = figure.subplots(1, count, squeeze=False).ravel()
+    if not drawers:
+        panels[0].set_axis_off()
+        panels[0].text(0.5, 0.5, "nothing to draw", ha="center")
+    for axes, draw in zip(panels, drawers, strict=False):
+        draw(axes, found)
+        axes.grid(visible=True, alpha=0.3)
+    return figure
+
+
+def _draw_transfer(axes: Any, found: Characterisation) -> None:
+    curve = found.transfer
+    assert curve is not None  # by _PANELS
+    signal = curve.mean_dn - curve.black_dn
+    axes.plot(signal, curve.variance_dn2, "o", markersize=3, label="measured, without rounding")
+    ends = np.array([min(0.0, float(signal.min())), float(signal.max())])
+    axes.plot(ends, curve.read_dn2 + curve.slope_dn * ends, "-", label="line")
+    axes.set_xlabel("signal above black / DN")
+    axes.set_ylabel("temporal variance / DN²")
+    axes.set_title("photon transfer")
+    axes.legend(fontsize=8)
+
+
+_PANELS: tuple[
+    tuple[Callable[[Characterisation], bool], Callable[[Any, Characterisation], None]], ...
+] = ((lambda found: found.transfer is not None, _draw_transfer),)
+
+
+def write_characterisation_picture(found: Characterisation, path: Path) -> None:
+    """Write :func:`characterisation_figure` as a PNG."""
+    save_png(characterisation_figure(found), path)

@@ -1,0 +1,58 @@
+"""``slbench characterise`` from captures on disk to a scene that has what was measured."""
+
+import json
+
+import pytest
+from characterised import repeats_of
+from scenes_small import run_cli
+
+from slbench.detector import Detector
+from slbench.scene.file import load_scene
+
+DETECTOR = Detector(12, 20_000.0, 10.0, prnu=0.01, dsnu_e=8.0)
+
+
+@pytest.fixture
+def runs(tmp_path):
+    for name, capture in repeats_of(DETECTOR, seed=1).items():
+        capture.save(tmp_path / name)
+    return tmp_path
+
+
+def test_a_scene_extends_what_was_measured(runs):
+    folders = [runs / f"run{k}" for k in range(4)]
+    outcome = run_cli("characterise", *folders, "--out", runs / "hardware.toml")
+    assert outcome.status == 0, outcome.err
+    text = (runs / "hardware.toml").read_text()
+    assert "# gain: " in text
+    assert "photon transfer" in text
+    assert (runs / "hardware-characterise.png").stat().st_size > 1000
+    stored = json.loads((runs / "hardware-characterise.json").read_text())
+    assert stored["quantities"][0]["key"] == "detector.offset_dn"
+    (runs / "mine.toml").write_text('extends = ["plane", "hardware.toml"]\nname = "mine"\n')
+    scene = load_scene(runs / "mine.toml")
+    assert scene.detector.bit_depth == 12
+    assert scene.detector.e_per_dn == pytest.approx(DETECTOR.e_per_dn, rel=0.03)
+    assert scene.detector.read_noise_e == pytest.approx(10.0, rel=0.03)
+    # It saturates where the camera does.
+    assert scene.detector.saturation_dn == pytest.approx(DETECTOR.saturation_dn, abs=1)
+    assert scene.rig == load_scene("plane").rig
+
+
+def test_a_folder_twice_is_no_repeat(runs):
+    outcome = run_cli("characterise", runs / "run0", runs / "run0", "--out", runs / "h.toml")
+    assert outcome.status == 2
+    assert "each folder once" in outcome.err
+    assert not (runs / "h.toml").exists()
+
+
+def test_json_has_every_quantity(runs):
+    outcome = run_cli(
+        "characterise", runs / "run0", runs / "run1", "--out", runs / "h.toml", "--json",
+        "--no-picture",
+    )  # fmt: skip
+    found = json.loads(outcome.out)
+    names = [one["name"] for one in found["quantities"]]
+    assert {"gain", "read noise", "black level", "PRNU"} <= set(names)
+    assert all(one["low"] <= one["value"] <= one["high"] for one in found["quantities"])
+    assert not (runs / "h-characterise.png").exists()
