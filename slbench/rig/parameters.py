@@ -6,7 +6,8 @@ A parameter is named by its device and what it is: ``camera.fx_px``, ``projector
 - ``k1``, ``k2``, ``p1``, ``p2``, ``k3``: OpenCV's distortion;
 - ``rx_rad``, ``ry_rad``, ``rz_rad``: a turn about the device's own axes through its lens, as a
   rotation vector r: ``R' = R exp([r]_x)`` with ``X_world = R X_device + p``;
-- ``tx_mm``, ``ty_mm``, ``tz_mm``: a shift along the device's own axes: ``p' = p + R t``.
+- ``tx_mm``, ``ty_mm``, ``tz_mm``: a shift along the device's own axes: ``p' = p + R t``;
+- ``tau_x_rad``, ``tau_y_rad``: OpenCV's tilt of the sensor.
 
 All of them are additive and zero for the rig as it is.  A calibration with the camera as the
 world's frame has no pose of the camera among its parameters.  What a set of parameters does to
@@ -40,12 +41,13 @@ from slbench.rig.rig import Rig
 Array = NDArray[np.float64]
 
 ROLES = ("camera", "projector")
-_LENS = ("fx_px", "fy_px", "cx_px", "cy_px")
-_DISTORTION = ("k1", "k2", "p1", "p2", "k3")
-_TURN = ("rx_rad", "ry_rad", "rz_rad")
-_SHIFT = ("tx_mm", "ty_mm", "tz_mm")
+LENS = ("fx_px", "fy_px", "cx_px", "cy_px")
+DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+TURN = ("rx_rad", "ry_rad", "rz_rad")
+SHIFT = ("tx_mm", "ty_mm", "tz_mm")
+TILT = ("tau_x_rad", "tau_y_rad")
 #: Parameters of one device.
-DEVICE_PARAMETERS = (*_LENS, *_DISTORTION, *_TURN, *_SHIFT)
+DEVICE_PARAMETERS = (*LENS, *DISTORTION, *TURN, *SHIFT, *TILT)
 #: Parameters of a rig of one camera and one projector.
 RIG_PARAMETERS = tuple(f"{role}.{name}" for role in ROLES for name in DEVICE_PARAMETERS)
 
@@ -203,7 +205,7 @@ def _moved(device: Any, error: Array) -> Camera | Projector:
     from scipy.spatial.transform import Rotation  # a third of a second, for few scenes
 
     (fx, fy, cx, cy), distortion = error[:4], error[4:9]
-    turn, shift = error[9:12], error[12:]
+    turn, shift, tilt = error[9:12], error[12:15], error[15:]
     matrix = device.matrix
     # The pixel's width stays, its height takes up the difference, as in a file of OpenCV's.
     focal = (matrix[0, 0] + fx) * device.pitch_mm[0]
@@ -216,5 +218,6 @@ def _moved(device: Any, error: Array) -> Camera | Projector:
         pitch_mm=(device.pitch_mm[0], float(height)),
         principal_point=(device.centre[0] + float(cx), device.centre[1] + float(cy)),
         distortion=tuple((np.array(device.distortion) + distortion).tolist()),
+        tilt_rad=tuple((np.array(device.tilt_rad) + tilt).tolist()),
         pose=pose,
     )

@@ -341,6 +341,8 @@ class DeviceErrors(Parameters):
     tx_mm: NotNegative | None = None
     ty_mm: NotNegative | None = None
     tz_mm: NotNegative | None = None
+    tau_x_rad: NotNegative | None = None
+    tau_y_rad: NotNegative | None = None
 
     def deviations(self) -> dict[str, float]:
         """Return deviations by parameter; a parameter's own comes before its group's."""

@@ -33,10 +33,12 @@ POINTS = np.random.default_rng(1).uniform(-80, 80, (50, 3)) * [1.0, 1.0, 0.25]
 
 def by_opencv(device, error):
     """Project points by OpenCV with parameters that are off."""
-    values = dict(zip(DEVICE_PARAMETERS, np.zeros(15), strict=True)) | error
+    values = dict(zip(DEVICE_PARAMETERS, np.zeros(len(DEVICE_PARAMETERS)), strict=True)) | error
     matrix = device.matrix.copy()
     matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += [values[k] for k in ("fx_px", "fy_px", "cx_px", "cy_px")]
     dist = np.array(device.distortion) + [values[k] for k in ("k1", "k2", "p1", "p2", "k3")]
+    tilt = np.array(device.tilt_rad) + [values[k] for k in ("tau_x_rad", "tau_y_rad")]
+    dist = np.concatenate((dist, np.zeros(7), tilt))
     turn, _ = cv2.Rodrigues(np.array([values[k] for k in ("rx_rad", "ry_rad", "rz_rad")]))
     shift = np.array([values[k] for k in ("tx_mm", "ty_mm", "tz_mm")])
     rotation = device.pose.rotation @ turn

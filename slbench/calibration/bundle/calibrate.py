@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from slbench.calibration.bundle.adjust import Adjusted, adjust, plain_residuals
 from slbench.calibration.bundle.models import FOCAL, free_parameters, start_values
@@ -26,7 +27,15 @@ from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.patterns import Axis
 from slbench.rig import Pose, Rig
-from slbench.rig.parameters import DEVICE_PARAMETERS, ROLES, ParameterCovariance
+from slbench.rig.parameters import (
+    DISTORTION,
+    LENS,
+    ROLES,
+    SHIFT,
+    TILT,
+    TURN,
+    ParameterCovariance,
+)
 
 Array = NDArray[np.float64]
 
@@ -147,19 +156,13 @@ class BoardCalibration:
         for role in ROLES:
             device = getattr(self.rig, role)
             matrix = device.matrix
-            values = dict(
-                zip(
-                    DEVICE_PARAMETERS[:9],
-                    (matrix[0, 0], matrix[1, 1], *device.centre, *device.distortion),
-                    strict=True,
-                )
-            )
+            values = dict(zip(LENS, (*np.diag(matrix)[:2], *device.centre), strict=True))
+            values |= dict(zip(DISTORTION, device.distortion, strict=True))
+            values |= dict(zip(TILT, device.tilt_rad, strict=True))
             if role == "projector":
-                from scipy.spatial.transform import Rotation
-
                 turn = Rotation.from_matrix(camera.rotation.T @ device.pose.rotation).as_rotvec()
                 place = camera.to_local(device.pose.position)
-                values |= dict(zip(DEVICE_PARAMETERS[9:], (*turn, *place), strict=True))
+                values |= dict(zip((*TURN, *SHIFT), (*turn, *place), strict=True))
             table |= {
                 f"{role}.{name}": (float(value), std.get(f"{role}.{name}", 0.0))
                 for name, value in values.items()

@@ -1,7 +1,7 @@
 """Which parameters of a device are fitted: its camera model, and what is fixed of it.
 
 The models are nested.  ``plain`` is a pinhole; ``radial`` has k1 and k2; ``brown`` adds p1, p2 and
-k3 (D. C. Brown, 1971).
+k3 (D. C. Brown, 1971); ``tilted`` adds the tilt of the sensor (Scheimpflug).
 """
 
 from __future__ import annotations
@@ -10,16 +10,26 @@ from collections.abc import Mapping, Sequence
 
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
-from slbench.rig.parameters import DEVICE_PARAMETERS, RIG_PARAMETERS, ROLES
+from slbench.rig.parameters import (
+    DEVICE_PARAMETERS,
+    LENS,
+    RIG_PARAMETERS,
+    ROLES,
+    SHIFT,
+    TILT,
+    TURN,
+)
 
 FOCAL = ("fx_px", "fy_px")
-LENS = (*FOCAL, "cx_px", "cy_px")
-POSE = ("rx_rad", "ry_rad", "rz_rad", "tx_mm", "ty_mm", "tz_mm")
-#: Parameters of a device's model, beside those of :data:`LENS`.
+POSE = (*TURN, *SHIFT)
+_RADIAL = ("k1", "k2")
+_BROWN = (*_RADIAL, "p1", "p2", "k3")
+#: Parameters of a device's model, beside focal lengths and centre.
 DEVICE_MODELS: dict[str, tuple[str, ...]] = {
     "plain": (),
-    "radial": ("k1", "k2"),
-    "brown": ("k1", "k2", "p1", "p2", "k3"),
+    "radial": _RADIAL,
+    "brown": _BROWN,
+    "tilted": (*_BROWN, *TILT),
 }
 
 

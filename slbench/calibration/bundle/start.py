@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from slbench.calibration.bundle.views import BoardView
 from slbench.calibration.scales import GROSS, NORMAL_MAD
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
+from slbench.rig.parameters import DISTORTION, TILT
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -171,7 +172,8 @@ def _device(
         "pitch_mm": (_NOMINAL_PITCH_MM, focal / fy),
         "lens": Lens(focal),
         "principal_point": (cx, cy),
-        "distortion": tuple(fixed.get(f"{role}.{k}", 0.0) for k in ("k1", "k2", "p1", "p2", "k3")),
+        "distortion": tuple(fixed.get(f"{role}.{name}", 0.0) for name in DISTORTION),
+        "tilt_rad": tuple(fixed.get(f"{role}.{name}", 0.0) for name in TILT),
     }
     poses = [
         Pose(_nearest(cv2.Rodrigues(rotation)[0]), np.asarray(offset, dtype=np.float64).ravel())

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slbench.calibration.target.free import LEAST_POINTS, FreeBoard, find_free_board
 from slbench.calibration.target.remap import remap
 from slbench.capture.capture import Capture
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.show.display import brief
 
 Array = NDArray[np.float64]
@@ -98,6 +98,11 @@ def view_board(capture: Capture, board: FreeBoard, name: str) -> BoardView:
     InputError
         Naming the pose, if only one axis is coded, the board is not found, too few of its points
         are lit by the projector, or the panel is seen mirrored.
+
+    Warns
+    -----
+    InputWarning
+        If something beside the points may put them off.
     """
     axes = capture.sequence.axes
     if set(axes) != {"u", "v"}:
@@ -110,6 +115,8 @@ def view_board(capture: Capture, board: FreeBoard, name: str) -> BoardView:
         found = find_free_board(picture, board)
     except InputError as error:
         raise InputError(f"{name}: {error.where}", error.expected, error.got) from None
+    if found.doubt:
+        warn_user(name, found.doubt)
     panel = remap(found.points, phase, window=found.window_px, exclude_px=found.exclude_px)
     order = [panel.axes.index(axis) for axis in ("u", "v")]
     place, sd = panel.coordinates[:, order], panel.sd[:, order]

@@ -36,7 +36,9 @@ _MOST = 4000
 _LEAST_WINDOW_PX, _MOST_WINDOW_PX = 3, 40
 #: Smoothing before a corner is refined, px.  Edges sharper than a pixel have gradients that depend
 #: on where they cross it: corners of rendered boards are 0.04 px off without, 0.02 px with it.
-_SMOOTH_PX = 1.2
+#: Less in a small window, half of which is this many of its deviations at least: what is beyond
+#: must not be smeared into it.
+_SMOOTH_PX, _WINDOW_SMOOTHS = 1.2, 4.0
 #: Deviation that is taken for granted, px: what is left of that.
 LEAST_SD_PX = 0.02
 
@@ -143,7 +145,8 @@ def refine_corners(picture: Array, points: Array, half: int) -> tuple[Array, Arr
         What noise permits at best along the worse direction, px.  Infinite where the window
         leaves the picture, which moves a corner by a tenth of a pixel, or a corner ran away.
     """
-    grey = cv2.GaussianBlur(picture, (0, 0), _SMOOTH_PX).astype(np.float32)
+    smoothing = min(_SMOOTH_PX, half / _WINDOW_SMOOTHS)
+    grey = cv2.GaussianBlur(picture, (0, 0), smoothing).astype(np.float32)
     found = np.ascontiguousarray(points, dtype=np.float32).reshape(-1, 1, 2).copy()
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 60, 1e-4)
     cv2.cornerSubPix(grey, found, (half, half), (-1, -1), criteria)

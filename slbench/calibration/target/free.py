@@ -20,7 +20,7 @@ boards that are their own mirror images only a second device, the projector, tel
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -59,6 +59,8 @@ _COLOURED = 0.9
 #: How far a corner's window reaches to the next corner, and the phase's window to the next point,
 #: as shares of the way.
 _CORNER_REACH, _PHASE_REACH = 0.45, 0.9
+#: A corner's window should reach this far, px: beyond the blur of its own edges.
+_LEAST_REACH_PX = 4.0
 #: Radius of what the phase leaves out of a dot, in radii: its rim is blurred.
 _DOT_RIM = 1.3
 
@@ -160,6 +162,8 @@ class FreePoints:
         How far around a point the board is certain to be, and how much of that is the point.
     placed : bool
         Whether there is but one place on the board where they can be.
+    doubt : str
+        What may put them off; empty where nothing does.
     """
 
     points: Array
@@ -168,6 +172,7 @@ class FreePoints:
     window_px: int
     exclude_px: float
     placed: bool
+    doubt: str = ""
 
     __repr__ = brief
 
@@ -247,9 +252,16 @@ def _charuco(picture: Array, board: FreeBoard) -> FreePoints:
     pitch = float(steps.min()) if len(ids) > 1 else 0.0
     assert board.marker_mm is not None  # by __post_init__
     white = 0.5 * (1.0 - board.marker_mm / board.pitch_mm)
-    half = window_px(min(_CORNER_REACH, 0.9 * white) * pitch)
-    points, sd = refine_corners(picture, corners, half)
-    return _found(points, sd, ids, int(_PHASE_REACH * pitch), 0.0, True)
+    reach = min(_CORNER_REACH, 0.9 * white) * pitch
+    points, sd = refine_corners(picture, corners, window_px(reach))
+    found = _found(points, sd, ids, int(_PHASE_REACH * pitch), 0.0, True)
+    if reach >= _LEAST_REACH_PX:
+        return found
+    doubt = (
+        f"markers are {white * pitch:.2g} px away from the corners, and put them off: smaller "
+        "markers, or a board that is nearer"
+    )
+    return replace(found, doubt=doubt)
 
 
 _FINDERS: dict[str, Callable[[Array, FreeBoard], FreePoints]] = {
