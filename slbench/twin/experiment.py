@@ -13,22 +13,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from slbench.calibration.models.points import CalibrationPoints
-from slbench.calibration.target.detect import Dots, detect_dots
-from slbench.calibration.target.indexing import index_grid
-from slbench.calibration.target.remap import remap
-from slbench.capture.capture import Capture
-from slbench.capture.stack import WeightSource
+from slbench.calibration.models.points import CalibrationPoints, joined
+from slbench.calibration.target.detect import detect_dots
+from slbench.calibration.target.stage import Remapping, stage_view
+from slbench.capture.stack import FocusStack, WeightSource
 from slbench.core.errors import InputError
 from slbench.core.random import Word, derived_seed, generator
 from slbench.core.show.display import brief
-from slbench.patterns import Axis, Flat, PhaseMap
+from slbench.patterns import Flat
 from slbench.rig import Pose
 from slbench.scene.model import Scene
 from slbench.simulate.floors import halves, more_samples
@@ -36,11 +33,6 @@ from slbench.simulate.stack import capture_stack, traced, with_lit_frame
 
 Array = NDArray[np.float64]
 
-Remapping = Literal["ring", "bilinear"]
-
-#: Inner and outer radius of the ring about a dot, in radii: from beyond its blurred rim to
-#: before the neighbours' at 3 radii (a pitch of two diameters).
-_RING = (1.3, 2.5)
 #: Farthest from where it is that a dot may be seen.  Light, blur and noise move one by a third of
 #: a pixel in the shipped experiment (results/calibration); a wrong number by a pitch, many pixels.
 _FARTHEST_PX = 1.0
@@ -119,6 +111,7 @@ def run_experiment(
     remapping: Remapping = "ring",
     weights: WeightSource = "lit",
     seed: int = 0,
+    keep: Callable[[int, FocusStack], None] | None = None,
     on_progress: Callable[[str, float], None] | None = None,
 ) -> Experiment:
     """Capture, detect, number and re-map the dots of a grid at every stage position.
@@ -133,12 +126,12 @@ def run_experiment(
     stage_sigma_mm : float
         Standard deviation of the true position about the nominal one, each axis.
     remapping : {"ring", "bilinear"}
-        ``bilinear`` interpolates the phase at the centre (thesis eq. 33-36), which is that of a
-        dark dot: noisy, or lost where fringes are blurred.  ``ring`` fits a quadratic to the
-        phase of the plate around the dot.
+        As for :func:`~slbench.calibration.target.stage.stage_view`.
     weights : {"lit", "modulation"}
         Of the fusion, where the scene has focus settings.
     seed : int
+    keep : callable, optional
+        Called with the number of a position and what was captured there.
     on_progress : callable, optional
 
     Returns
@@ -155,13 +148,12 @@ def run_experiment(
     dots = grid.artefact.targets
     if dots is None or "dots" not in grid.artefact.parts:
         raise InputError(f"scene {scene.name}: objects[0]", "a grid of dots", grid.artefact.name)
-    if remapping not in ("ring", "bilinear"):
-        raise InputError("remapping", "ring or bilinear", repr(remapping))
     if not 0 <= stage_sigma_mm < np.inf:
         raise InputError("stage sigma", "zero or a positive length (mm)", stage_sigma_mm)
     camera = scene.rig.camera
     errors = generator(seed, Word.STAGE).normal(0.0, stage_sigma_mm or 0.0, positions_mm.shape)
-    pixels, world, position, detection = [], [], [], []
+    found: list[CalibrationPoints] = []
+    detection = []
     problems, captured = [], False
     middle, sampling = int(np.argmin(np.abs(positions_mm[:, 2]))), float("nan")
     for k, (nominal, error) in enumerate(zip(positions_mm, errors, strict=True)):
@@ -170,9 +162,19 @@ def run_experiment(
         placed = replace(scene, objects=(moved, *scene.objects[1:]))
         own = derived_seed(seed, Word.POSITION, k)
         try:
-            shots, phase = _measured(placed, weights, own)
+            shots = _captured(placed, own)
             captured = True
-            found, which, columns = _dots(placed, nominal_pose, remapping, shots, phase)
+            if keep is not None:
+                keep(k, shots)
+            fused = shots.fuse(weights)
+            world = nominal_pose.to_world(dots)
+            view = stage_view(
+                fused.capture,
+                dots,
+                expected=camera.project(world),
+                remapping=remapping,
+                phase=fused.decode(),
+            )
             if k == middle:
                 sampling = _sampling_px(placed, own)
         except InputError as problem:
@@ -185,27 +187,17 @@ def run_experiment(
         finally:
             if on_progress:
                 on_progress("positions", (k + 1) / len(positions_mm))
-        v_p = columns.get("v", np.full(len(found), np.nan))
-        u_p = columns["u"]
-        good = (which >= 0) & np.isfinite(u_p) & (np.isfinite(v_p) | ("v" not in columns))
-        pixels.append(np.column_stack((found.centres, u_p, v_p))[good])
-        nominal_world = nominal_pose.to_world(dots)
         true = camera.project(moved.pose.to_world(dots))
-        _check_detections(found.centres, which, true, f"scene {scene.name}: stage position {k + 1}")
-        world.append(nominal_world[which[good]])
-        detection.append(found.centres[good] - true[which[good]])
-        position.append(np.full(int(good.sum()), k))
-    if not sum(map(len, position)):
+        seen, where = view.pixels[:, :2], f"scene {scene.name}: stage position {k + 1}"
+        _check_detections(seen, view.numbers, true, where)
+        found.append(view.points(world, k))
+        detection.append(seen - true[view.numbers])
+    if not sum(map(len, found)):
         nothing = InputError("stage positions", "dots that can be numbered and decoded", "none")
         raise problems[0] if problems else nothing
-    positions = np.concatenate(position)
-    return Experiment(
-        CalibrationPoints(np.concatenate(pixels), np.concatenate(world), positions),
-        positions,
-        positions_mm,
-        np.concatenate(detection),
-        sampling,
-    )
+    points = joined(found)
+    assert points.position is not None  # of every view
+    return Experiment(points, points.position, positions_mm, np.concatenate(detection), sampling)
 
 
 def _check_detections(centres: Array, which: NDArray[np.intp], true: Array, where: str) -> None:
@@ -269,70 +261,6 @@ def _sampling_px(scene: Scene, seed: int) -> float:
     return float(np.sqrt(np.mean(distance[same] ** 2))) if same.any() else float("nan")
 
 
-def _dots(
-    scene: Scene, nominal: Pose, remapping: Remapping, shots: Capture, phase: PhaseMap
-) -> tuple[Dots, NDArray[np.intp], dict[Axis, Array]]:
-    """Detect the dots of one position: where, which, and their panel coordinates by axis."""
-    lit = shots.sequence.lit_frame
-    assert lit is not None  # by _measured
-    found = detect_dots(shots.frames[lit])
-    dots = scene.objects[0].artefact.targets
-    assert dots is not None  # by run_experiment
-    which = _numbered(found.centres, dots, scene.rig.camera.project(nominal.to_world(dots)))
-    ring = remapping == "ring"
-    reach = int(np.ceil(_RING[1] * float(np.median(found.radii))))
-    panel = remap(
-        found.centres,
-        phase,
-        centre_sd=found.sd,
-        window=reach if ring else None,
-        exclude_px=_RING[0] * found.semi_axes[:, 0] if ring else 0.0,
-    )
-    return found, which, {axis: panel.coordinates[:, i] for i, axis in enumerate(panel.axes)}
-
-
-def _measured(scene: Scene, weights: WeightSource, seed: int) -> tuple[Capture, PhaseMap]:
-    """Capture a scene with a lit frame, fused where it has focus settings, and decode."""
-    lit = replace(scene, sequence=with_lit_frame(scene.sequence))
-    fused = capture_stack(lit, seed=seed).fuse(weights)
-    return fused.capture, fused.decode()
-
-
-def _numbered(centres: Array, dots: Array, expected: Array) -> NDArray[np.intp]:
-    """Return which of the grid's dots each centre is, -1 for none.
-
-    Parameters
-    ----------
-    centres : (n, 2) float
-        Detected, px.
-    dots : (k, 3) float
-        The grid's, row by row, columns towards +x, rows towards -y.
-    expected : (k, 2) float
-        Where the nominal pose has them in the image; right to half a cell.
-    """
-    nodes = _nodes(dots)
-    dot_at = {node: k for k, node in enumerate(map(tuple, nodes.tolist()))}
-    anchor = int(np.nanargmin(np.sum((expected - centres.mean(axis=0)) ** 2, axis=1)))
-    index = index_grid(
-        centres,
-        near=expected[anchor],
-        anchor=tuple(nodes[anchor].tolist()),
-        column_direction=expected[dot_at[1, 0]] - expected[dot_at[0, 0]],
-    )
-    which = [dot_at.get((column, row), -1) for column, row in index.indices.tolist()]
-    return np.where(index.inlier, which, -1).astype(np.intp)
-
-
-def _nodes(dots: Array) -> NDArray[np.int64]:
-    """Return column and row, (k, 2), of a grid's dots on the lattice of their shortest steps.
-
-    Where every other place of the rows is empty, the steps are those to the next row's dots:
-    right and down, left and down.
-    """
-    # A tenth of a nanometre apart is rounding.
-    column, row = (
-        np.unique(np.round(along, 7), return_inverse=True)[1] for along in (dots[:, 0], -dots[:, 1])
-    )
-    if 2 * len(dots) > (column.max() + 1) * (row.max() + 1):
-        return np.column_stack((column, row))
-    return np.column_stack(((row + column) // 2, (row - column) // 2))
+def _captured(scene: Scene, seed: int) -> FocusStack:
+    """Capture a scene with a lit frame, at all its focus settings."""
+    return capture_stack(replace(scene, sequence=with_lit_frame(scene.sequence)), seed=seed)

@@ -162,11 +162,11 @@ def test_a_position_without_dots_is_left_out(grid):
 def test_a_scene_that_cannot_be_captured_is_no_missing_position(grid, monkeypatch):
     calls = []
 
-    def broken(*_):
+    def broken(*_, **__):
         calls.append(1)
         raise InputError("scene", "patterns", "none")
 
-    monkeypatch.setattr(experiment, "_measured", broken)
+    monkeypatch.setattr(experiment, "capture_stack", broken)
     with pytest.raises(InputError, match="position 1: scene: expected patterns, got none"):
         run_experiment(grid, np.zeros((3, 3)))
     assert len(calls) == 1

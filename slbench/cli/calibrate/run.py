@@ -67,6 +67,10 @@ def run(
     multivariate: Annotated[
         bool, typer.Option("--multivariate", help="Fit x, y and z together.")
     ] = False,
+    keep: Annotated[
+        Path | None,
+        typer.Option(help="Folder for the captures too, which slbench calibrate points reads."),
+    ] = None,
     seed: Seed = 0,
     page: Annotated[
         Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
@@ -84,6 +88,7 @@ def run(
     from slbench.calibration.selection import forms_for, select_models
     from slbench.report.page import check_page_path, write_page
     from slbench.report.pages.calibration import calibration_page
+    from slbench.twin.captures import kept
     from slbench.twin.experiment import (
         Y_STEPS,
         Z_STEPS,
@@ -113,7 +118,7 @@ def run(
         loaded = replace(loaded, samples=spp)
     few = _PREVIEW if preview else (Z_STEPS, Y_STEPS)
     positions = stage_positions(loaded, z_steps or few[0], y_steps or few[1], 1e-3 * y_step_um)
-    with progress(as_json) as report:
+    with progress(as_json) as report, kept(keep, loaded, positions, seed) as on_capture:
         found = run_experiment(
             loaded,
             positions,
@@ -121,6 +126,7 @@ def run(
             remapping=remapping,
             weights=weights,
             seed=seed,
+            keep=on_capture,
             on_progress=report,
         )
     if doubt := sampling_doubt(found, loaded.samples):
@@ -155,7 +161,7 @@ def run(
     except InputError:  # too few heights or dots in common: no baselines, but a calibration
         comparison = None
     write_experiment(found, selection, comparison, out, parameters, seed)
-    written = {"out": str(out)}
+    written = {"out": str(out)} | ({} if keep is None else {"captures": str(keep)})
     if page is not None:
         whole = calibration_page(
             found.points,

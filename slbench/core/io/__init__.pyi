@@ -22,6 +22,7 @@ from .opencv_yaml import read_opencv_yaml as read_opencv_yaml
 from .opencv_yaml import write_opencv_yaml as write_opencv_yaml
 from .provenance import provenance as provenance
 from .tables import read_table as read_table
+from .tables import table_header as table_header
 from .tables import write_table as write_table
 from .text import plain as plain
 from .text import read_json as read_json

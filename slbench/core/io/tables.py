@@ -81,6 +81,12 @@ def read_table(
     return np.array(rows)
 
 
+def table_header(path: str | Path) -> list[str]:
+    """Return the names in the header of a CSV file that :func:`read_table` has read."""
+    first = io.StringIO(read_text(path, "a CSV file", _LARGEST), newline="")
+    return [name.strip() for name in next(csv.reader(first), [])]
+
+
 def write_table(
     path: str | Path, columns: Sequence[str], rows: Iterable[Sequence[float | str]]
 ) -> None:
