@@ -6,6 +6,7 @@ else as it stands.  What a page takes for granted, such as a folder of photograp
 """
 
 import functools
+import glob
 import re
 import shlex
 import shutil
@@ -219,6 +220,11 @@ def make_given(words, folder):
             GIVEN[word](path)
 
 
+def as_a_shell(word):
+    """Return the files that a word with a * stands for, or the word."""
+    return (sorted(glob.glob(word)) if "*" in word else []) or [word]
+
+
 def photograph(session):
     """Take photographs of a session's pictures by a camera that sees the panel and no more."""
     shutil.copytree(session / "patterns", session / "photographs")
@@ -264,7 +270,7 @@ def test_the_commands_of_a_page_run(page, workplace):
     for line in commands_of(page):
         words = reduced(line)
         make_given(words, workplace)
-        outcome = run_cli(*words)
+        outcome = run_cli(*(path for word in words for path in as_a_shell(word)))
         # A claim may fail or be undecided.
         expected = (0, 1, 3) if words[0] == "check" else (0,)
         assert outcome.status in expected, f"{line}\n{outcome.err}"
