@@ -65,6 +65,9 @@ def fuse(
         typer.Option(help="saf: corrected, or published (as the authors' program)."),
     ] = "corrected",
     window: Annotated[Window, typer.Option(help="Window of the measure, pixels, odd.")] = 9,
+    picture: Annotated[
+        bool, typer.Option(help="Photographs: draw before, after and focus (FILE-summary.png).")
+    ] = True,
     allow_modules: AllowModules = False,
     allow_outside: AllowOutside = False,
     as_json: Json = False,
@@ -107,7 +110,7 @@ def fuse(
         balance=balance,
     )
     if stack is None:
-        _fuse_photographs(folder, out, how, scale, as_json)
+        _fuse_photographs(folder, out, how, scale, picture, as_json)
     else:
         _fuse_stack(stack, out, how, as_json)
 
@@ -132,7 +135,12 @@ def _scale(
 
 
 def _fuse_photographs(
-    folder: Path, out: Path, how: FusionMethod, scale: Scale | None, as_json: bool
+    folder: Path,
+    out: Path,
+    how: FusionMethod,
+    scale: Scale | None,
+    picture: bool,
+    as_json: bool,
 ) -> None:
     """Fuse photographs into one, with the maps of the weights beside it."""
     from slbench.capture.fusion.folder import Photographs
@@ -143,9 +151,9 @@ def _fuse_photographs(
     begin = time.perf_counter()
     with progress(as_json) as report:
         fused = fuse_photographs(photographs, how, report)
-        fused.save(out, scale)
+        fused.save(out, scale, picture=picture)
     seconds = time.perf_counter() - begin
-    files = [str(path) for path in fused.files(out, scale)]
+    files = [str(path) for path in fused.files(out, scale, picture=picture)]
     if as_json:
         print_json(fused.to_dict() | {"seconds": seconds, "files": files})
         return

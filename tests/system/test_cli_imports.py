@@ -72,7 +72,7 @@ def real(tmp_path_factory):
 def test_commands_on_real_data_load_no_simulator(real):
     lines = [
         "decode shots --no-picture --out decoded",
-        "fuse photographs --out fused/sharp.png",
+        "fuse photographs --no-picture --out fused/sharp.png",
         "register views --positions stage.csv --out merged",
         "calibrate fit points.csv --out model.json",
         "calibrate apply model.json shots --out cloud.ply",

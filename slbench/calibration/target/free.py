@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -40,13 +40,15 @@ from slbench.calibration.target.perspective import homography_centre_bias
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
 from slbench.core.show.display import brief
-from slbench.core.validation.types import Length
+from slbench.core.validation.types import Interval, Length
 from slbench.core.validation.values import Value
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 FreeKind = Literal["chequerboard", "circle-grid", "charuco"]
+#: Points or squares of a board along a side.
+Side = Annotated[int, Interval(ge=2, le=200)]
 
 #: Names of ``cv2.aruco``'s dictionaries.
 _DICTIONARY = "DICT_"
@@ -87,8 +89,8 @@ class FreeBoard(Value):
     """
 
     kind: FreeKind
-    columns: int
-    rows: int
+    columns: Side
+    rows: Side
     pitch_mm: Length
     staggered: bool = False
     marker_mm: Length | None = None
@@ -98,9 +100,9 @@ class FreeBoard(Value):
         super().__post_init__()
         where = "board"
         least = 3
-        if min(self.columns, self.rows) < least or max(self.columns, self.rows) > 200:
+        if min(self.columns, self.rows) < least:
             got = f"{self.columns} x {self.rows}"
-            raise InputError(f"{where}: size", f"from {least} to 200 either way", got)
+            raise InputError(f"{where}: size", f"at least {least} either way", got)
         if self.staggered and self.kind != "circle-grid":
             raise InputError(f"{where}: staggered", "a circle grid", self.kind)
         if self.kind == "charuco":

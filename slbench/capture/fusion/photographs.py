@@ -186,16 +186,16 @@ class FusedPhotographs:
             raise InputError("heights", expected, self.method.name)
         return 1e-3 * step_um * self.focus
 
-    def files(self, path: Path, scale: Scale | None = None) -> list[Path]:
+    def files(self, path: Path, scale: Scale | None = None, *, picture: bool = True) -> list[Path]:
         """Return what :meth:`save` writes, provenance last."""
         names = [f"{path.stem}-{name}.exr" for name in self.maps]
         if scale is not None:
             names.append(f"{path.stem}-heights.exr")
             names += [f"{path.stem}-points.ply"] if scale.pixel_um is not None else []
-        names += [f"{path.stem}-summary.png", fused_output(path).provenance]
-        return [path, *map(path.with_name, names)]
+        names += [f"{path.stem}-summary.png"] if picture else []
+        return [path, *map(path.with_name, [*names, fused_output(path).provenance])]
 
-    def save(self, path: Path, scale: Scale | None = None) -> None:
+    def save(self, path: Path, scale: Scale | None = None, *, picture: bool = True) -> None:
         """Write the image, and beside it an EXR a map, a picture and provenance; all or none.
 
         Parameters
@@ -204,6 +204,8 @@ class FusedPhotographs:
             ``.png`` or ``.exr``; its name is that of the files beside it.
         scale : Scale, optional
             Heights too, and points where it has a pixel's size.
+        picture : bool
+            Whether :meth:`plot` is written, too.
 
         Raises
         ------
@@ -230,7 +232,8 @@ class FusedPhotographs:
                 write_exr(temporary / f"{path.stem}-heights.exr", {"height": values})
                 if scale.pixel_um is not None:
                     self._write_points(temporary / f"{path.stem}-points.ply", heights, scale)
-            write_figure(self, temporary / f"{path.stem}-summary.png")
+            if picture:
+                write_figure(self, temporary / f"{path.stem}-summary.png")
 
     def _write_points(self, path: Path, heights: NDArray[np.float64], scale: Scale) -> None:
         """Write what is in focus somewhere as points: x right, y up, z towards the camera, mm."""

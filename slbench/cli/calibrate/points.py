@@ -47,9 +47,10 @@ def points(
     allow_outside: AllowOutside = False,
     as_json: Json = False,
 ) -> None:
-    """Find dots of a plate on a stage in captures; slbench calibrate fit makes a model of them.
+    """Find the dots of a plate on a stage in captures.
 
-    The plate lies square to the stage, its rows along x. Without a rig all of it must be in view.
+    slbench calibrate fit makes a model of them. The plate lies square to the stage, its rows
+    along x. Without a rig all of it must be in view.
     """
     import numpy as np
 

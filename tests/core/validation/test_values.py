@@ -11,6 +11,7 @@ import pytest
 from refusals import wrong_values
 
 import slbench
+from slbench.calibration.target.free import FreeBoard
 from slbench.capture.capture import Capture, CaptureTable
 from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
@@ -64,6 +65,7 @@ VALUES = [
     DesignVariables(100.0, 50.0, 0.0, 5.0, 0.1, 0.0),
     Detector(),
     NoiseModel(),
+    FreeBoard(kind="chequerboard", columns=9, rows=7, pitch_mm=20.0),
     *CODES,
     SEQUENCE,
     SequenceTable((64, 48), ({"kind": "gray"},)),
