@@ -22,7 +22,10 @@ beside ``capture.toml``, and the same manifest describes real photographs::
     gain_dn_per_e = 0.016
     offset_dn = 2.0
 
-What ``frames`` may be is said in :mod:`slbench.capture.reading`.  ``modules = ["my_codes.py"]``
+``response = 2.2`` at its top is the projector's gamma, ``response = "curve.csv"`` its measured
+curve.  What ``frames`` may be is said in :mod:`slbench.capture.reading`.
+
+``modules = ["my_codes.py"]``
 at its top names Python files beside it that add pattern codes (:mod:`slbench.core.modules`).
 """
 
@@ -49,17 +52,19 @@ from slbench.patterns import (
     NoiseModel,
     PatternSequence,
     PhaseMap,
+    Response,
     decode,
     pattern_codes,
 )
 from slbench.patterns.crosstalk import amplified, unmixed
+from slbench.patterns.response import RESPONSE_FILE
 from slbench.rig import ALONE, Camera, Pair, Rig
 from slbench.rig.opencv import read_rig, write_rig
 from slbench.rig.parameters import ParameterCovariance, covariance_beside
 
 MANIFEST = "capture.toml"
 #: What a capture has at the top of its folder: modules may have added its codes.
-CAPTURE_ENTRIES = (MANIFEST, "frames", "rig.yaml", "*.py")
+CAPTURE_ENTRIES = (MANIFEST, "frames", "rig.yaml", RESPONSE_FILE, "*.py")
 _FOLDER = OutputFolder("capture", CAPTURE_ENTRIES)
 _FORMAT = 1
 _TYPES = (np.uint8, np.uint16, np.float32, np.float64)
@@ -79,6 +84,7 @@ class CaptureTable(Value):
     exposure_ms: Positive | None = None
     rig: str | None = None
     noise: NoiseModel | None = None
+    response: Positive | str | None = None
     camera: Word = ALONE.camera
     projector: Word = ALONE.projector
 
@@ -109,6 +115,9 @@ class Capture(Value):
         Names of the camera that saw the frames and of the projector that showed the patterns.
     rig_covariance : ParameterCovariance or None
         What is known of the rig's parameters, for the uncertainty of points.
+    response : Response or None
+        Of the projector, which decoding takes out; None for one that is linear, or pictures that
+        undo it.
     """
 
     frames: NDArray[Any]
@@ -121,6 +130,7 @@ class Capture(Value):
     min_modulation_dn: Grey | None = None
     pair: Pair = ALONE
     rig_covariance: ParameterCovariance | None = None
+    response: Response | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -224,6 +234,7 @@ class Capture(Value):
             noise=self.least_noise,
             saturation=self.top_dn,
             min_modulation=self.least_modulation_dn if min_modulation is None else min_modulation,
+            response=self.response,
             **options,
         )
 
@@ -275,6 +286,8 @@ class Capture(Value):
             manifest["exposure_ms"] = self.exposure_s * 1e3
         if self.noise is not None:
             manifest["noise"] = asdict(self.noise)
+        if self.response is not None:
+            manifest["response"] = self.response.write(root)
         if self.rig is not None:
             write_rig(root / "rig.yaml", self.rig, self.rig_covariance)
             manifest["rig"] = "rig.yaml"
@@ -349,10 +362,20 @@ class Capture(Value):
                 table.min_modulation_dn and table.min_modulation_dn / 2**shift,
                 pair,
                 covariance,
+                _response(table.response, path.parent, allow_outside),
             )
         if frames.dtype.kind == "f":
             _question_scale(path, capture)
         return capture
+
+
+def _response(given: float | str | None, folder: Path, allow_outside: bool) -> Response | None:
+    """Return the response that a manifest states by a gamma or a file."""
+    if given is None:
+        return None
+    if isinstance(given, str):
+        return Response.read(allowed(folder, given, allow_outside))
+    return Response(float(given))
 
 
 def _question_scale(path: Path, capture: Capture) -> None:

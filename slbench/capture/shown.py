@@ -13,12 +13,14 @@ from slbench.capture.capture import MANIFEST
 from slbench.core.errors import InputError
 from slbench.core.io import OutputFolder, write_png, write_toml
 from slbench.core.modules import save_modules
-from slbench.core.validation.types import Gamma, PanelBits, Whole
+from slbench.core.validation.types import PanelBits, Whole
 from slbench.core.validation.values import checked
-from slbench.patterns import PatternSequence, pattern_codes
+from slbench.patterns import PatternSequence, Response, pattern_codes
 
 #: Where photographs are looked for, under the names of the pictures.
 PHOTOGRAPHS = "photographs"
+#: A projector whose light is what pictures say.
+LINEAR = Response()
 #: Channels of a colour picture, as a manifest names them.
 CHANNELS = "rgb"
 SHOWN_FOLDER = OutputFolder("patterns", ("patterns", MANIFEST, "*.py"))
@@ -26,7 +28,11 @@ SHOWN_FOLDER = OutputFolder("patterns", ("patterns", MANIFEST, "*.py"))
 
 @checked
 def pictures(
-    sequence: PatternSequence, *, bits: PanelBits = 8, gamma: Gamma = 1.0, border_px: Whole = 0
+    sequence: PatternSequence,
+    *,
+    bits: PanelBits = 8,
+    response: Response = LINEAR,
+    border_px: Whole = 0,
 ) -> Iterator[NDArray[np.unsignedinteger]]:
     """Make the pictures of a sequence for a projector, one a frame, or colour pictures.
 
@@ -36,9 +42,9 @@ def pictures(
     bits : int
         Levels of the projector are ``2**bits``; up to 8 bits are pictures of 8 bit, more of 16 bit,
         whose top is full white.
-    gamma : float
-        Exponent of the projector: what it makes of a value v is ``v**gamma``.  Pictures are
-        distorted by its inverse, so that the light is what the sequence says.
+    response : Response
+        Of the projector.  Pictures are distorted by its inverse, so that the light is what the
+        sequence says.
     border_px : int
         Panel pixels along every side that stay dark, and are not measured.
 
@@ -64,7 +70,7 @@ def pictures(
     lit[border_px : height - border_px, border_px : width - border_px] = True
 
     def picture(k: int) -> NDArray[np.unsignedinteger]:
-        value = np.rint(sequence.image(k) ** (1.0 / gamma) * levels) / levels
+        value = np.rint(response.values(sequence.image(k)) * levels) / levels
         return np.rint(np.where(lit, value, 0.0) * top).astype(kind)
 
     for first in range(0, sequence.n_frames, sequence.channels):
@@ -82,14 +88,14 @@ def write_pictures(
     folder: str | Path,
     *,
     bits: int = 8,
-    gamma: float = 1.0,
+    response: Response = LINEAR,
     border_px: int = 0,
 ) -> None:
     """Write the pictures of a sequence and a ``capture.toml`` for the photographs of them.
 
     Parameters
     ----------
-    sequence, bits, gamma, border_px
+    sequence, bits, response, border_px
         As for :func:`pictures`.
     folder : path
         Gets ``patterns/000.png`` and so on, to be projected in this order, and ``capture.toml``,
@@ -103,11 +109,12 @@ def write_pictures(
     channels = sequence.channels
     names = [f"{k:03d}.png" for k in range(sequence.n_frames // channels)]
     of_each = [""] if sequence.crosstalk is None else [f"#{c}" for c in CHANNELS[:channels]]
-    made = pictures(sequence, bits=bits, gamma=gamma, border_px=border_px)
+    made = pictures(sequence, bits=bits, response=response, border_px=border_px)
     parameters: dict[str, Any] = {
         "patterns": sequence.name,
         "bits": bits,
-        "gamma": gamma,
+        "gamma": response.gamma,
+        "curve": response.curve,
         "border_px": border_px,
     }
     with SHOWN_FOLDER.writing(folder, parameters, None) as temporary:

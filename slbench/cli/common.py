@@ -17,6 +17,7 @@ from slbench.core.registry import Registry
 from slbench.core.validation import types
 
 if TYPE_CHECKING:
+    from slbench.patterns import Response
     from slbench.scene.model import Scene
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
@@ -53,6 +54,16 @@ Preview = Annotated[
 MinModulation = Annotated[
     types.Grey | None,
     typer.Option(help="Least modulation of a valid pixel, DN; 3, or the capture's."),
+]
+Gamma = Annotated[
+    types.Gamma | None,
+    typer.Option(help="Of the projector: light is value ** gamma; what it does is undone."),
+]
+ResponseFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--response", help="Measured instead of gamma: CSV with the columns value,radiance."
+    ),
 ]
 AllowModules = Annotated[
     bool,
@@ -106,6 +117,23 @@ def size_of(text: str, option: str) -> tuple[int, int]:
     if match is None:
         raise InputError(option, "a width and a height, such as 1280x800", text)
     return int(match[1]), int(match[2])
+
+
+def read_response(gamma: float | None, curve: Path | None) -> Response | None:
+    """Return the projector's response by ``--gamma`` or ``--response``; None without either.
+
+    Raises
+    ------
+    InputError
+        For both.
+    """
+    from slbench.patterns import Response
+
+    if gamma is not None and curve is not None:
+        raise InputError("--response", "--gamma or --response", "both")
+    if curve is not None:
+        return Response.read(curve)
+    return None if gamma is None else Response(gamma)
 
 
 def listed(text: str, registry: Registry[Any], option: str) -> list[str]:

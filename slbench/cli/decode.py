@@ -9,7 +9,16 @@ from typing import Annotated, Literal
 
 import typer
 
-from slbench.cli.common import AllowModules, AllowOutside, Json, MinModulation, print_json
+from slbench.cli.common import (
+    AllowModules,
+    AllowOutside,
+    Gamma,
+    Json,
+    MinModulation,
+    ResponseFile,
+    print_json,
+    read_response,
+)
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 from slbench.core.validation.types import OrderResidual
@@ -48,6 +57,8 @@ def decode(
             help="Point of two coded axes: on the camera's ray, or nearest to both rays (thesis)."
         ),
     ] = "ray",
+    gamma: Gamma = None,
+    response: ResponseFile = None,
     allow_modules: AllowModules = False,
     allow_outside: AllowOutside = False,
     as_json: Json = False,
@@ -65,6 +76,9 @@ def decode(
     shots = Capture.load(folder, allow_modules=allow_modules, allow_outside=allow_outside)
     if rig is not None:
         shots = replace(shots, rig=read_rig(rig, shots.pair))
+    straight = read_response(gamma, response)
+    if straight is not None:
+        shots = replace(shots, response=straight)
     if page is not None:
         from slbench.report.page import check_page_path
 
@@ -88,6 +102,8 @@ def decode(
     )
     parameters = {"folder": str(folder), "rig": str(rig) if rig else None, "decoder": decoder}
     parameters |= {"meeting": meeting}
+    if shots.response is not None:
+        parameters |= {"response": str(shots.response)}
     files = {}
     if picture:
         from slbench.report.plots.decoded import write_decoded_picture

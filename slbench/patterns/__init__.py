@@ -21,6 +21,7 @@ from slbench.patterns.phase import (
     unwrap_spatially,
 )
 from slbench.patterns.registry import pattern_codes
+from slbench.patterns.response import Response
 from slbench.patterns.sequence import Frame, PatternSequence
 
 __all__ = [
@@ -42,6 +43,7 @@ __all__ = [
     "PatternSource",
     "PhaseMap",
     "Placed",
+    "Response",
     "Rule",
     "Run",
     "Variation",

@@ -68,10 +68,12 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.core.validation.types import Axis
 from slbench.core.validation.values import Value, validated
 from slbench.patterns.noise import NoiseModel
+from slbench.patterns.response import Response
 
 FloatArray = NDArray[np.float64]
 #: Of what no digit beyond single precision is of use: in half the memory.
@@ -175,6 +177,27 @@ class Code(Value, ABC):
     def flat_level(self, k: int) -> float | None:
         """Return the panel value of frame `k` if it has only one, None by default."""
         return None
+
+    def straightened(
+        self, frames: NDArray[Any], panel: Panel, response: Response, saturation: float
+    ) -> NDArray[Any]:
+        """Return the code's frames, (N, P), as a linear projector would have made them.
+
+        Black and white are the same by any response; by default nothing else can be told.
+
+        Raises
+        ------
+        InputError
+            For a code of grey values that is decoded as if the projector were linear.
+        """
+        for k in range(self.n_frames(panel)):
+            along = self.varies(k)
+            alone = along in ("u", "v")
+            shown = self.profile(k, extent(panel, along)) if alone else self.image(k, panel)  # type: ignore[arg-type]
+            if not np.all((shown == 0.0) | (shown == 1.0)):
+                expected = "fringes and codes of black and white, or pictures that undo it"
+                raise InputError("response", expected, f"{self.kind}, which is grey")
+        return frames
 
     def check(self, panel: Panel, before: Sequence[Code]) -> None:
         """Raise InputError if the panel cannot show the code, after the codes `before`."""

@@ -21,6 +21,7 @@ from slbench.core.show.drawing import figure
 from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observed, Rule
 from slbench.patterns.crosstalk import amplified, carried_sigma, unmixed
 from slbench.patterns.noise import NoiseModel
+from slbench.patterns.response import Response
 from slbench.patterns.sequence import PatternSequence
 
 #: Least modulation of a measured pixel, DN, unless said otherwise.
@@ -174,6 +175,7 @@ def decode(
     min_modulation: float = MIN_MODULATION_DN,
     min_snr: float = 3.0,
     max_order_residual: float | None = None,
+    response: Response | None = None,
     keep_relative: bool = False,
     keep_evidence: bool = False,
 ) -> PhaseMap:
@@ -212,6 +214,9 @@ def decode(
     max_order_residual : float, optional
         Largest residual of a fringe order that is believed, turns; the sequence's by default, and
         a half believes all.
+    response : Response, optional
+        Of the projector, where it is not linear: fringes are decoded as if it were
+        (:mod:`slbench.patterns.response`).
     keep_relative : bool
         Keep the relative phases too.
     keep_evidence : bool
@@ -231,11 +236,12 @@ def decode(
     """
     if sequence.crosstalk is not None:
         limits = {
+            "response": response,
             "min_modulation": min_modulation,
             "min_snr": min_snr,
             "max_order_residual": max_order_residual,
         }
-        kept = {"keep_relative": keep_relative, "keep_evidence": keep_evidence}
+        kept: dict[str, Any] = {"keep_relative": keep_relative, "keep_evidence": keep_evidence}
         return _decode_mixed(frames, sequence, noise, saturation, limits, kept)
     pixels = _flatten(frames, sequence)
     for name, value in (("min_modulation", min_modulation), ("min_snr", min_snr)):
@@ -246,6 +252,8 @@ def decode(
     elif not 0.0 < max_order_residual <= 0.5:
         raise InputError("decode: max_order_residual", "a number in (0, 0.5]", max_order_residual)
     saturation = _saturation(saturation, pixels)
+    if response is not None:
+        pixels = _straightened(pixels, sequence, response, saturation)
     observed = Observed(
         pixels=pixels,
         shape=frames.shape[1:],
@@ -305,13 +313,24 @@ def decode(
     )
 
 
+def _straightened(
+    pixels: NDArray[Any], sequence: PatternSequence, response: Response, saturation: float
+) -> NDArray[np.float32]:
+    """Return frames as a linear projector would have made them, (N, P)."""
+    result = np.empty(pixels.shape, np.float32)
+    for placed in sequence.placed():
+        own = slice(placed.frames.start, placed.frames.stop)
+        result[own] = placed.code.straightened(pixels[own], sequence.panel, response, saturation)
+    return result
+
+
 def _decode_mixed(
     frames: NDArray[Any],
     sequence: PatternSequence,
     noise: NoiseModel | None,
     saturation: float | None,
     limits: Mapping[str, Any],
-    kept: Mapping[str, bool],
+    kept: Mapping[str, Any],
 ) -> PhaseMap:
     """Decode the channels of colour pictures as if each had been a picture of its own."""
     assert sequence.crosstalk is not None  # by decode

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slbench.core.validation.types import Share
 from slbench.patterns.base import Axis, Code, FloatArray, Panel
+from slbench.patterns.response import Response
 
 _WORDS = {"white": 1.0, "black": 0.0}
 
@@ -56,6 +58,12 @@ class Flat(Code):
     def may_saturate(self, k: int) -> bool:
         """Return True: nothing but a threshold is taken from it."""
         return True
+
+    def straightened(
+        self, frames: NDArray[Any], panel: Panel, response: Response, saturation: float
+    ) -> NDArray[Any]:
+        """Return the frame itself: nothing but a threshold is taken from it."""
+        return frames
 
     @classmethod
     def read_word(cls, word: str, axis: Axis, shifts: int) -> list[Self] | None:

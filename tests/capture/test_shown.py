@@ -8,7 +8,7 @@ from slbench.capture.capture import Capture
 from slbench.capture.shown import PHOTOGRAPHS, pictures, write_pictures
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml
-from slbench.patterns import PatternSequence
+from slbench.patterns import PatternSequence, Response
 
 SEQUENCE = PatternSequence.parse("gray+16@4", (192, 120))
 
@@ -26,7 +26,7 @@ def photographed(folder, gamma):
 @pytest.mark.parametrize(("bits", "gamma", "border"), [(8, 1.0, 0), (8, 2.2, 6), (10, 2.2, 0)])
 def test_photographs_of_the_pictures_decode_to_the_panel(tmp_path, bits, gamma, border):
     folder = tmp_path / "session"
-    write_pictures(SEQUENCE, folder, bits=bits, gamma=gamma, border_px=border)
+    write_pictures(SEQUENCE, folder, bits=bits, response=Response(gamma), border_px=border)
     photographed(folder, gamma)
     phase = Capture.load(folder).decode()
     inside = np.zeros((120, 192), bool)
@@ -40,7 +40,8 @@ def test_photographs_of_the_pictures_decode_to_the_panel(tmp_path, bits, gamma, 
 def test_pictures_that_are_not_corrected_are_seen_as_they_are():
     """Without its inverse a gamma of 2.2 would show: the correction is what the test above sees."""
     linear, corrected = (
-        np.array(list(pictures(SEQUENCE, gamma=gamma)))[-4:] / 255.0 for gamma in (1.0, 2.2)
+        np.array(list(pictures(SEQUENCE, response=Response(gamma))))[-4:] / 255.0
+        for gamma in (1.0, 2.2)
     )
     assert np.abs(corrected - linear).max() > 0.1
     np.testing.assert_allclose(corrected**2.2, linear, atol=0.01)
@@ -61,7 +62,7 @@ def test_the_manifest_names_photographs_and_patterns(tmp_path):
     assert PatternSequence.from_dict(manifest["patterns"]) == SEQUENCE
     # Photographs beside them are somebody else's, and stay.
     photographed(tmp_path / "out", 1.0)
-    write_pictures(SEQUENCE, tmp_path / "out", gamma=2.0)
+    write_pictures(SEQUENCE, tmp_path / "out", response=Response(2.0))
     assert len(list((tmp_path / "out" / PHOTOGRAPHS).iterdir())) == SEQUENCE.n_frames
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture
 from slbench.detector import Detector
-from slbench.patterns import PatternSequence, panel_response
+from slbench.patterns import PatternSequence, Response
 
 PANEL = (640, 480)
 
@@ -19,6 +19,7 @@ def light_of(
     *,
     step_px: float = 0.0,
     gamma: float = 1.0,
+    response: Response | None = None,
 ) -> NDArray[np.float64]:
     """Return the light of a plane, or of two with a step between, as a share of the brightest.
 
@@ -33,7 +34,8 @@ def light_of(
     frames = []
     for frame in sequence.frames():
         axis = "v" if frame.along == "v" else "u"
-        profile = panel_response(frame.part.profile(frame.index, sequence.size(axis)), None, gamma)
+        shown = np.clip(frame.part.profile(frame.index, sequence.size(axis)), 0.0, 1.0)
+        profile = (response or Response(gamma)).light(shown)
         frames.append(shade * np.interp(places[axis], np.arange(len(profile)), profile))
     return np.array(frames)
 

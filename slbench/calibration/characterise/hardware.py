@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+import numpy as np
 import tomli_w
 
 from slbench.calibration.characterise.measure import Characterisation
-from slbench.core.io import OutputFolder, files_beside, write_json
+from slbench.core.io import OutputFolder, files_beside, write_json, write_table
 from slbench.core.io.atomic import write_bytes
+from slbench.patterns.response import COLUMNS
 
 #: Significant figures of a number.
 _FIGURES = 5
@@ -60,7 +62,7 @@ def write_hardware(
     path: Path,
     files: Mapping[str, Callable[[Characterisation, Path], None]] | None = None,
 ) -> None:
-    """Write ``hardware.toml``, and its ``hardware-characterise.json`` beside it.
+    """Write ``hardware.toml``; beside it ``hardware-characterise.json`` and ``-response.csv``.
 
     Parameters
     ----------
@@ -80,6 +82,9 @@ def write_hardware(
     with output.writing(path.parent, parameters, None) as temporary:
         write_bytes(temporary / path.name, hardware_text(found).encode())
         write_json(temporary / f"{path.stem}-characterise.json", found.to_dict())
+        if found.curve is not None:
+            table = np.stack([found.curve.value, found.curve.radiance], axis=1)
+            write_table(temporary / f"{path.stem}-response.csv", COLUMNS, table)
         for name, write in (files or {}).items():
             write(found, temporary / name)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from slbench.calibration.characterise import motion, noise
+from slbench.calibration.characterise import motion, noise, response
 from slbench.calibration.characterise.frames import Shot, check_alike, flats, shots
 from slbench.calibration.characterise.quantity import Quantity, Untold
 from slbench.capture.capture import Capture
@@ -36,6 +36,8 @@ class Characterisation:
     untold : tuple of Untold
     transfer : Transfer or None
         Photon transfer, for the picture.
+    curve : Curve or None
+        The projector's response.
     """
 
     folders: tuple[str, ...]
@@ -43,6 +45,7 @@ class Characterisation:
     quantities: tuple[Quantity, ...]
     untold: tuple[Untold, ...]
     transfer: noise.Transfer | None = None
+    curve: response.Curve | None = None
 
     def __repr__(self) -> str:
         lines = [f"{one.name}: {one}" for one in self.quantities]
@@ -72,16 +75,20 @@ class Characterisation:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values."""
-        curve = self.transfer
         return {
             "folders": list(self.folders),
             "bit_depth": self.bit_depth,
             "quantities": [one.to_dict() for one in self.quantities],
             "untold": [one._asdict() for one in self.untold],
-            "photon_transfer": None
-            if curve is None
-            else {key: np.asarray(value).tolist() for key, value in curve._asdict().items()},
+            "photon_transfer": _plain(self.transfer),
+            "response": _plain(self.curve),
         }
+
+
+def _plain(curve: noise.Transfer | response.Curve | None) -> dict[str, Any] | None:
+    if curve is None:
+        return None
+    return {key: np.asarray(value).tolist() for key, value in curve._asdict().items()}
 
 
 @dataclass
@@ -168,6 +175,8 @@ def characterise(
     own = [samples[k] for k, shot in enumerate(found) if k in samples and shot in level.values()]
     if curve is not None and black is not None:
         whole.take(*noise.between_pixels(own, black[0], curve.slope_dn, step))
+    quantities, lost, light = response.response(found, captures, top)
+    whole.take(quantities, lost)
     whole.take(*shaken)
     whole.take(motion.flicker(moves))
     return Characterisation(
@@ -176,6 +185,7 @@ def characterise(
         quantities=tuple(whole.quantities),
         untold=tuple(whole.untold),
         transfer=curve,
+        curve=light,
     )
 
 

@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules
+from slbench.cli.common import AllowModules, Gamma, ResponseFile, read_response
 from slbench.cli.lazy import command
 from slbench.cli.patterns.given import Axes, Panel, PatternText, sequence_of
-from slbench.core.validation.types import Gamma, PanelBits, Whole
+from slbench.core.validation.types import PanelBits, Whole
 
 
 @command('slbench patterns write "gray+16@4" --panel 1280x800 --gamma 2.2 --out session')
@@ -20,19 +20,19 @@ def write(
     out: Annotated[Path, typer.Option(help="Folder to write to.")],
     axes: Axes = "u",
     bits: Annotated[PanelBits, typer.Option(help="Of the projector; above 8: 16 bit files.")] = 8,
-    gamma: Annotated[
-        Gamma, typer.Option(help="Of the projector; its inverse is put into the pictures.")
-    ] = 1.0,
+    gamma: Gamma = None,
+    response: ResponseFile = None,
     border_px: Annotated[Whole, typer.Option(help="Panel pixels that stay dark at the ends.")] = 0,
     allow_modules: AllowModules = False,
 ) -> None:
     """Write pictures for a real projector, and a manifest."""
-    from slbench.capture.shown import PHOTOGRAPHS, SHOWN_FOLDER, write_pictures
+    from slbench.capture.shown import LINEAR, PHOTOGRAPHS, SHOWN_FOLDER, write_pictures
 
     sequence = sequence_of(patterns, panel, axes, allow_modules)
     sequence.runs()  # says what is missing where it cannot be decoded
     SHOWN_FOLDER.check(out, "--out")
-    write_pictures(sequence, out, bits=bits, gamma=gamma, border_px=border_px)
+    own = read_response(gamma, response) or LINEAR
+    write_pictures(sequence, out, bits=bits, response=own, border_px=border_px)
     count = sequence.n_frames // sequence.channels
     print(
         f"Written to {out}: project {out / 'patterns'} in order, put the {count} photographs into "

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.validation.types import (
@@ -36,6 +36,7 @@ from slbench.core.validation.types import (
 )
 from slbench.patterns.base import Axis, Code, FloatArray, Found, Observed, Panel, Run, extent
 from slbench.patterns.phase import relative_phase
+from slbench.patterns.response import Response, straightened
 
 MIN_SHIFTS = 3
 #: Three pixels a fringe are the least that carry amplitude, phase and mean.
@@ -230,6 +231,18 @@ class Fringes(Code):
         """Return relative phase, modulation and mean of the set's frames (N, V, U)."""
         usual = self.shifts_deg is None and not self._unusual()
         return relative_phase(frames, None if usual else self.steps(extent(panel, self.axis)))
+
+    def straightened(
+        self, frames: NDArray[Any], panel: Panel, response: Response, saturation: float
+    ) -> NDArray[Any]:
+        """Return the set's frames, (N, P), as a linear projector would have made them.
+
+        Raises
+        ------
+        InputError
+            For a response so steep that two phases look alike by so few shifts.
+        """
+        return straightened(frames, self.steps(extent(panel, self.axis)), response, saturation)
 
     @classmethod
     def check_run(cls, run: Run, before: Sequence[Run]) -> None:

@@ -50,9 +50,26 @@ def _draw_transfer(axes: Any, found: Characterisation) -> None:
     axes.legend(fontsize=8)
 
 
+def _draw_response(axes: Any, found: Characterisation) -> None:
+    curve = found.curve
+    assert curve is not None  # by _PANELS
+    axes.errorbar(
+        curve.value, curve.radiance, curve.half_width, fmt="o", markersize=3, label="measured"
+    )
+    fine = np.linspace(0.0, 1.0, 200)
+    axes.plot(fine, fine**curve.gamma, "-", label=f"gamma {curve.gamma:.3f}")
+    axes.set_xlabel("pattern value")
+    axes.set_ylabel("light, of white less black")
+    axes.set_title("projector's response")
+    axes.legend(fontsize=8)
+
+
 _PANELS: tuple[
     tuple[Callable[[Characterisation], bool], Callable[[Any, Characterisation], None]], ...
-] = ((lambda found: found.transfer is not None, _draw_transfer),)
+] = (
+    (lambda found: found.transfer is not None, _draw_transfer),
+    (lambda found: found.curve is not None, _draw_response),
+)
 
 
 def write_characterisation_picture(found: Characterisation, path: Path) -> None:
