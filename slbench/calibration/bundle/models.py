@@ -1,7 +1,8 @@
 """Which parameters of a device are fitted: its camera model, and what is fixed of it.
 
 The models are nested.  ``plain`` is a pinhole; ``radial`` has k1 and k2; ``brown`` adds p1, p2 and
-k3 (D. C. Brown, 1971); ``tilted`` adds the tilt of the sensor (Scheimpflug).
+k3 (D. C. Brown, 1971).  A sensor's tilt is not fitted: to first order it is the tangential
+distortion of ``brown``, and a shift of the centre; boards hardly tell them apart.
 """
 
 from __future__ import annotations
@@ -16,20 +17,17 @@ from slbench.rig.parameters import (
     RIG_PARAMETERS,
     ROLES,
     SHIFT,
-    TILT,
     TURN,
 )
 
 FOCAL = ("fx_px", "fy_px")
 POSE = (*TURN, *SHIFT)
 _RADIAL = ("k1", "k2")
-_BROWN = (*_RADIAL, "p1", "p2", "k3")
 #: Parameters of a device's model, beside focal lengths and centre.
 DEVICE_MODELS: dict[str, tuple[str, ...]] = {
     "plain": (),
     "radial": _RADIAL,
-    "brown": _BROWN,
-    "tilted": (*_BROWN, *TILT),
+    "brown": (*_RADIAL, "p1", "p2", "k3"),
 }
 
 

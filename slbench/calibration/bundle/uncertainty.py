@@ -32,7 +32,7 @@ from slbench.calibration.bundle.adjust import Adjusted, derivatives, residuals
 from slbench.calibration.bundle.models import FOCAL
 from slbench.calibration.bundle.views import BoardView
 from slbench.rig.device import Device
-from slbench.rig.parameters import TILT, ParameterCovariance
+from slbench.rig.parameters import ParameterCovariance
 
 Array = NDArray[np.float64]
 
@@ -187,7 +187,7 @@ def _undetermined(
             why = _angles(found)
         elif own.endswith("_rad"):
             limit, size = TURN_RAD, f"{np.degrees(deviation):.3g} deg"
-            why = _reach(views, found, role) if own in TILT else _angles(found)
+            why = _angles(found)
         else:
             moves = deviation * _corner_radius(device) ** _POWERS[own] * focal
             limit, deviation = DISTORTION_PX, moves

@@ -47,10 +47,10 @@ def board(
         "rig.yaml"
     ),
     camera_model: Annotated[
-        str, typer.Option(help="Of its lens: plain, radial, brown or tilted.")
+        str, typer.Option(help="Of its lens: plain, radial or brown.")
     ] = "brown",
     projector_model: Annotated[
-        str, typer.Option(help="Of its lens: plain, radial, brown or tilted.")
+        str, typer.Option(help="Of its lens: plain, radial or brown.")
     ] = "radial",
     fix: Annotated[
         list[str] | None,

@@ -99,20 +99,6 @@ def test_errors_are_as_predicted_in_40_draws():
     assert np.mean(np.abs(errors) < 1.0) == pytest.approx(0.683, abs=3.0 * np.sqrt(0.22 / 200))
 
 
-def test_a_tilted_sensor():
-    """Scheimpflug: the tilt is found beside all else, as well as a lens of 9 mm shows it."""
-    lens = replace(RIG.camera.lens, focal_length_mm=9.0)
-    tilt = (np.radians(6.0), np.radians(-3.0))
-    rig = RIG.having(camera=replace(RIG.camera, lens=lens, tilt_rad=tilt))
-    views = projected_views(rig, seed=11, board=replace(BOARD, pitch_mm=9.0))
-    found = calibrate_boards(views, camera_model="tilted", fixed={"camera.k3": None})
-    for name, true in zip(("tau_x_rad", "tau_y_rad"), tilt, strict=True):
-        value, std = found.parameters[f"camera.{name}"]
-        assert std < 0.5 * abs(tilt[0])
-        assert abs(value - true) < 4.0 * std
-    assert found.known.chi_square["camera"] == pytest.approx(1.0, abs=0.15)
-
-
 def test_a_wrong_scale_of_the_deviations_is_seen_and_taken_up():
     views = projected_views(RIG, seed=3)
     wrong = [replace(v, pixel_sd=0.5 * v.pixel_sd, panel_sd=3.0 * v.panel_sd) for v in views]
