@@ -24,6 +24,13 @@ def characterise(
         Grey | None,
         typer.Option(help="Black level, DN.  [default: by the black frames]"),
     ] = None,
+    edge: Annotated[
+        str | None,
+        typer.Option(
+            metavar="U,V,WIDTH,HEIGHT",
+            help="Window of the white frame with one straight edge, turned a little, px.",
+        ),
+    ] = None,
     picture: Annotated[
         bool, typer.Option("--picture/--no-picture", help="Draw NAME-characterise.png.")
     ] = True,
@@ -42,6 +49,7 @@ def characterise(
 
     check_output_file(out, (".toml",))
     hardware_output(out).check(out.parent, "--out")
+    window = None if edge is None else _window(edge)
     names = [str(folder) for folder in folders]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -50,7 +58,7 @@ def characterise(
         name: Capture.load(name, allow_modules=allow_modules, allow_outside=allow_outside)
         for name in names
     }
-    found = measured(captures, black_dn=black_dn)
+    found = measured(captures, black_dn=black_dn, edge=window)
     files = {}
     if picture:
         from slbench.report.plots.characterise import write_characterisation_picture
@@ -65,3 +73,11 @@ def characterise(
         print(f"{lost.name}: not told, {lost.why}; capture {lost.capture}")
     beside = out.with_name(f"{out.stem}-characterise.png")
     print(f"Written to {out}" + (f": open {beside}" if picture else ""))
+
+
+def _window(text: str) -> tuple[int, int, int, int]:
+    parts = text.split(",")
+    if len(parts) != 4 or not all(part.strip().isdecimal() for part in parts):
+        raise InputError("--edge", "four whole numbers, such as 120,80,40,60", text)
+    u, v, width, height = (int(part) for part in parts)
+    return u, v, width, height

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from slbench.calibration.characterise import motion, noise, response
+from slbench.calibration.characterise import motion, noise, response, spread
 from slbench.calibration.characterise.frames import Shot, check_alike, flats, shots
 from slbench.calibration.characterise.quantity import Quantity, Untold
 from slbench.capture.capture import Capture
@@ -38,6 +38,8 @@ class Characterisation:
         Photon transfer, for the picture.
     curve : Curve or None
         The projector's response.
+    contrasts : tuple of Contrast
+        Contrast of fringes, of each axis.
     """
 
     folders: tuple[str, ...]
@@ -46,6 +48,7 @@ class Characterisation:
     untold: tuple[Untold, ...]
     transfer: noise.Transfer | None = None
     curve: response.Curve | None = None
+    contrasts: tuple[spread.Contrast, ...] = ()
 
     def __repr__(self) -> str:
         lines = [f"{one.name}: {one}" for one in self.quantities]
@@ -82,10 +85,13 @@ class Characterisation:
             "untold": [one._asdict() for one in self.untold],
             "photon_transfer": _plain(self.transfer),
             "response": _plain(self.curve),
+            "contrast": [_plain(one) for one in self.contrasts],
         }
 
 
-def _plain(curve: noise.Transfer | response.Curve | None) -> dict[str, Any] | None:
+def _plain(
+    curve: noise.Transfer | response.Curve | spread.Contrast | None,
+) -> dict[str, Any] | None:
     if curve is None:
         return None
     return {key: np.asarray(value).tolist() for key, value in curve._asdict().items()}
@@ -104,7 +110,10 @@ class _Found:
 
 
 def characterise(
-    captures: Mapping[str, Capture], *, black_dn: float | None = None
+    captures: Mapping[str, Capture],
+    *,
+    black_dn: float | None = None,
+    edge: tuple[int, int, int, int] | None = None,
 ) -> Characterisation:
     """Measure what captures tell of their camera and projector.
 
@@ -114,6 +123,8 @@ def characterise(
         By the name of the folder; frames that show the same are repeats, wherever they are.
     black_dn : float, optional
         Black level; by default that of the black frames, or else what a capture states.
+    edge : (u, v, width, height), optional
+        Window of the white frame that holds one straight edge, a little turned to the pixels.
 
     Returns
     -------
@@ -122,7 +133,8 @@ def characterise(
     Raises
     ------
     InputError
-        For captures of different cameras, or of colour pictures alone.
+        For captures of different cameras, or of colour pictures alone; for a window without an
+        edge.
     """
     check_alike(captures)
     found = shots(captures)
@@ -159,10 +171,11 @@ def characterise(
     if not used:
         used = _fitted(captures)
         method = f"what a sinusoid leaves of {len(used)} sets of fringes"
+    dark = next((one for k, one in samples.items() if found[k].level == 0.0), None)
     curve = None
     if used:
         quantities, lost, curve = noise.photon_transfer(
-            used, black, top=top, step=step, method=method
+            used, black, dark=dark, top=top, step=step, method=method
         )
         whole.take(quantities, lost)
     else:
@@ -177,6 +190,10 @@ def characterise(
         whole.take(*noise.between_pixels(own, black[0], curve.slope_dn, step))
     quantities, lost, light = response.response(found, captures, top)
     whole.take(quantities, lost)
+    blur = spread.camera_blur(found, edge, top)
+    whole.take(*blur)
+    quantities, lost, contrasts = spread.projector_blur(captures, next(iter(blur[0]), None), top)
+    whole.take(quantities, lost)
     whole.take(*shaken)
     whole.take(motion.flicker(moves))
     return Characterisation(
@@ -186,6 +203,7 @@ def characterise(
         untold=tuple(whole.untold),
         transfer=curve,
         curve=light,
+        contrasts=tuple(contrasts),
     )
 
 

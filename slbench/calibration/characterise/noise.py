@@ -188,6 +188,7 @@ def photon_transfer(
     samples: Sequence[Sample],
     black: tuple[float, float] | None,
     *,
+    dark: Sample | None,
     top: float,
     step: float,
     method: str,
@@ -199,6 +200,8 @@ def photon_transfer(
     samples : sequence of Sample
     black : (float, float) or None
         Black level, DN, and its standard deviation.
+    dark : Sample or None
+        Of black frames.
     top : float
         Saturation, DN.
     step : float
@@ -260,13 +263,24 @@ def photon_transfer(
         why = "the black level is not known"
         return quantities, [Untold("read noise", why, "a black frame, or --black-dn")], curve
 
+    alone = Binned(reach)
+    if dark is not None:
+        alone.add(dark, line)
+    whole = alone.sums.sum(axis=(0, 1))
+    # Black frames have no slopes that vibration would show; where rounding hides them, the line.
+    loud = whole[3] >= _LEAST and whole[2] >= (_SMOOTH * step) ** 2 * whole[0]
+
     def read(sums: Array) -> Array:
-        slope, start, _ = estimate(sums)
+        slope, start, _ = estimate(sums[0])
+        if loud:
+            freedom, _, squares, _ = sums[1].sum(axis=0)
+            start = squares / freedom - step**2 * _ROUNDING
         return np.array([start / slope**2])
 
-    squared = jackknife(binned.sums, read)
+    squared = jackknife(np.stack([binned.sums, alone.sums], axis=1), read)
     # An error of the black level moves the line along itself.
-    half = float(np.hypot(squared.half_width[0], 2.0 * black[1] / slope))
+    moved = 0.0 if loud else 2.0 * black[1] / slope
+    half = float(np.hypot(squared.half_width[0], moved))
     low, high = (max(float(squared.value[0]) + s * half, 0.0) for s in (-1.0, 1.0))
     value = float(np.sqrt(max(squared.value[0], 0.0)))
     if low == 0.0:
@@ -282,8 +296,9 @@ def photon_transfer(
             low=float(np.sqrt(low)),
             high=float(np.sqrt(high)),
             unit="electrons",
-            method=method,
+            method="black frames" if loud else method,
             key=("detector", "read_noise_e"),
+            note="the dark signal's own noise counts too",
         )
     )
     return quantities, [], curve

@@ -44,6 +44,8 @@ _PLACES, _TURN = 33, 720
 _BINS = 24
 #: Least modulation of a pixel, of the largest of all.
 _LIT = 0.1
+#: What whole levels and square pixels of a panel do to gamma, relative.
+_PANEL = 1e-3
 #: How far a curve is off the best gamma, of full white, to be called another.
 _OFF = 0.02
 
@@ -105,7 +107,8 @@ def _measured(
         why = "no pixel is lit and unsaturated in all frames"
         return [], [Untold("gamma", why, "frames of less or more light")], None
     result = jackknife(sums, estimate)
-    gamma, half = float(result.value[0]), float(result.half_width[0])
+    gamma = float(result.value[0])
+    half = float(np.hypot(result.half_width[0], _PANEL * gamma))
     count = (len(result.value) - 1) // 2
     value, radiance = result.value[1 : 1 + count], result.value[1 + count :]
     curve = Curve(value, radiance, result.half_width[1 + count :], gamma) if count else None

@@ -64,11 +64,27 @@ def _draw_response(axes: Any, found: Characterisation) -> None:
     axes.legend(fontsize=8)
 
 
+def _draw_contrast(axes: Any, found: Characterisation) -> None:
+    for k, one in enumerate(found.contrasts):
+        fine = np.linspace(0.0, float(one.cycles.max()), 100)
+        fall = np.exp(-2.0 * (np.pi * fine * one.blur_px) ** 2)
+        fall /= np.exp(-2.0 * (np.pi * one.cycles[0] * one.blur_px) ** 2)
+        axes.plot(one.cycles, one.kept, "o", color=f"C{k}", markersize=4)
+        label = f"along {one.axis}, blur {one.blur_px:.2f} px"
+        axes.plot(fine, fall, "-", color=f"C{k}", label=label)
+    axes.set_xlabel("fringes / cycles a panel pixel")
+    axes.set_ylabel("contrast, of the coarsest set")
+    axes.set_ylim(bottom=0.0)
+    axes.set_title("contrast without square pixels'")
+    axes.legend(fontsize=8)
+
+
 _PANELS: tuple[
     tuple[Callable[[Characterisation], bool], Callable[[Any, Characterisation], None]], ...
 ] = (
     (lambda found: found.transfer is not None, _draw_transfer),
     (lambda found: found.curve is not None, _draw_response),
+    (lambda found: bool(found.contrasts), _draw_contrast),
 )
 
 

@@ -6,6 +6,8 @@ import pytest
 from characterised import repeats_of
 from scenes_small import run_cli
 
+from slbench.calibration.characterise.measure import characterise
+from slbench.capture.capture import Capture
 from slbench.detector import Detector
 from slbench.scene.file import load_scene
 
@@ -37,6 +39,30 @@ def test_a_scene_extends_what_was_measured(runs):
     # It saturates where the camera does.
     assert scene.detector.saturation_dn == pytest.approx(DETECTOR.saturation_dn, abs=1)
     assert scene.rig == load_scene("plane").rig
+
+
+def test_a_scan_tells_the_scene_that_it_is_of(tmp_path):
+    """Rendered: a plane, sharp but for the projector's blur, with a gamma and vibration."""
+    words = {
+        "camera.f_number": 1000, "projector.f_number": 1000, "camera.wavelength_nm": 0,
+        "projector.wavelength_nm": 0, "projector.blur_px": 1.5, "projector.gamma": 2.2,
+        "exposure.vibration_px": 0.2, "detector.bit_depth": 12,
+            # So small an aperture wants half a minute, and dark signal of its own noise.
+            "detector.dark_current_e_per_s": 0,
+        "patterns.sequence": "white+white+white+black+black+black+1,8@12+8@12+8@12+64@8",
+    }  # fmt: skip
+    changes = [word for key, value in words.items() for word in ("--set", f"{key}={value}")]
+    folder = tmp_path / "run"
+    outcome = run_cli("scan", "plane", "--preview", *changes, "--out", folder)
+    assert outcome.status == 0, outcome.err
+    found = characterise({"run": Capture.load(folder)})
+    scene = load_scene("plane", preview=True)
+    assert found["gain"].value == pytest.approx(scene.detector.full_well_e / (4095 - 32), rel=0.03)
+    assert found["read noise"].value == pytest.approx(scene.detector.read_noise_e, rel=0.03)
+    assert found["gamma"].value == pytest.approx(2.2, rel=0.01)
+    assert found["projector blur"].value == pytest.approx(1.5, rel=0.05)
+    # A preview's pixels are twice as large: 0.1 px; 22 degrees of freedom, 15 %.
+    assert found["vibration"].low < 0.1 < found["vibration"].high
 
 
 def test_a_folder_twice_is_no_repeat(runs):
