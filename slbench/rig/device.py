@@ -42,13 +42,14 @@ from slbench.core.validation.types import (
     Size,
 )
 from slbench.core.validation.values import Value, checked
+from slbench.rig.coefficients import COEFFICIENTS, fewest
 from slbench.rig.distortion import (
     apply_homography,
     distort,
+    fold_radius,
     tilt_matrix,
     tilt_rotation,
     undistort,
-    with_fold,
 )
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners, product
@@ -73,8 +74,9 @@ class Device(Value):
     lens : Lens
     principal_point : (float, float) or None
         Pixel where the optical axis meets the panel; None is the panel's centre.
-    distortion : (5,) float
-        OpenCV's ``k1, k2, p1, p2, k3``.
+    distortion : (4,), (5,), (8,) or (12,) float
+        OpenCV's ``k1, k2, p1, p2``, ``k3``, ``k4, k5, k6``, ``s1, s2, s3, s4``
+        (:mod:`~slbench.rig.coefficients`); kept as 5, 8 or 12 numbers, the fewest that hold it.
     tilt_rad : (float, float)
         OpenCV's ``tauX, tauY``.
     blur_px : float
@@ -105,6 +107,7 @@ class Device(Value):
         if self.principal_point is None:
             centre = ((self.width - 1) / 2.0, (self.height - 1) / 2.0)
             object.__setattr__(self, "principal_point", centre)
+        object.__setattr__(self, "distortion", fewest(self.distortion))
 
     def __repr__(self) -> str:
         lens, pitch = self.lens, f"{1e3 * self.pitch_mm[0]:.4g}"
@@ -136,10 +139,11 @@ class Device(Value):
 
     @property
     def opencv_distortion(self) -> Array:
-        """OpenCV's coefficient vector: 5 numbers, or 14 where the sensor is tilted."""
+        """OpenCV's coefficient vector: 5, 8 or 12 numbers, or 14 where the sensor is tilted."""
         if not any(self.tilt_rad):
             return np.array(self.distortion)
-        return np.concatenate((self.distortion, np.zeros(7), self.tilt_rad))
+        none = np.zeros(len(COEFFICIENTS) - len(self.distortion))
+        return np.concatenate((self.distortion, none, self.tilt_rad))
 
     @property
     def tilt_homography(self) -> Array:
@@ -172,7 +176,8 @@ class Device(Value):
         return Optics(
             centre=np.array(self.centre),
             per_unit=self.lens.focal_length_mm / np.array(self.pitch_mm),
-            distortion=with_fold(self.distortion),
+            distortion=np.array(self.distortion),
+            fold2=fold_radius(self.distortion) ** 2,
             tilt=tilt,
             untilt=np.linalg.inv(tilt).astype(np.float64),
             distorted=any(self.distortion),

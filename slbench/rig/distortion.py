@@ -1,15 +1,15 @@
-"""Lens distortion (Brown-Conrady) and sensor tilt (Scheimpflug) in OpenCV's conventions.
+"""Lens distortion (Brown-Conrady and beyond) and sensor tilt (Scheimpflug), as OpenCV has them.
 
 Both act on *normalised image coordinates* ``(x, y)``: for a perspective lens ``x = X / Z``.
 
-* Distortion has OpenCV's five coefficients ``k1, k2, p1, p2, k3``
-  (D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37(8), 1971).
+* Distortion has OpenCV's coefficients and formula (:mod:`~slbench.rig.coefficients`).
 * Tilt is OpenCV's ``tauX, tauY``: the sensor plane turned about its own axes at the
   principal point (Louhichi et al., Meas. Sci. Technol. 18, 2007).
 
 **Where a lens is defined.**  A polynomial turns back somewhere: beyond its *fold* points outside
-the field come back as if they were inside.  :func:`fold_radius` says where that is, and everything
-that projects, whoever does it, stops there (:func:`distort` gives NaN).
+the field come back as if they were inside.  A rational function has poles beside: where its
+denominator vanishes, the image is infinitely far away.  :func:`fold_radius` says where the first of
+them is, and everything that projects, whoever does it, stops there (:func:`distort` gives NaN).
 
 Every function has its exact Jacobian, because the inverse (Newton) and the covariance of
 reconstructed points need it.
@@ -22,8 +22,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array = NDArray[np.float64]
+from slbench.rig.coefficients import distorted
 
+Array = NDArray[np.float64]
 
 #: Directions in which the fold is looked for; without tangential terms it is a circle.
 _DIRECTIONS = 64
@@ -32,62 +33,60 @@ _FARTHEST, _STEPS = 10.0, 4001
 
 
 def fold_radius(coefficients: ArrayLike) -> float:
-    """Return the radius of undistorted coordinates at which Brown-Conrady distortion folds.
+    """Return the radius of undistorted coordinates within which distortion can be inverted.
 
-    The determinant of the Jacobian is positive within it.  With tangential terms the fold is not
-    quite a circle, and its smallest radius counts.
+    The determinant of the Jacobian and the denominator are positive within it.  With tangential
+    terms the fold is not quite a circle, and its smallest radius counts.
 
     Parameters
     ----------
-    coefficients : (5,) float
-        ``k1, k2, p1, p2, k3``.
+    coefficients : (5,), (8,) or (12,) float
 
     Returns
     -------
     float
-        Infinite where the polynomial does not fold.
+        Infinite where the model does not fold.
     """
-    return _fold_radius(*(float(k) for k in np.asarray(coefficients, dtype=np.float64)))
+    return _fold_radius(tuple(np.asarray(coefficients, dtype=np.float64).tolist()))
 
 
 @lru_cache(maxsize=64)
-def _fold_radius(k1: float, k2: float, p1: float, p2: float, k3: float) -> float:
-    angle = 2.0 * np.pi * np.arange(_DIRECTIONS if p1 or p2 else 1)[:, None] / _DIRECTIONS
-    c, s = np.cos(angle), np.sin(angle)
+def _fold_radius(k: tuple[float, ...]) -> float:
+    round_about = any((*k[2:4], *k[8:]))
+    angle = 2.0 * np.pi * np.arange(_DIRECTIONS if round_about else 1)[:, None] / _DIRECTIONS
+    cosine, sine = np.cos(angle), np.sin(angle)
 
-    def determinant(r: Array) -> Array:
-        r2 = r * r
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        slope = 2.0 * r2 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))
-        a = radial + c * c * slope + r * (2.0 * p1 * s + 6.0 * p2 * c)
-        b = c * s * slope + r * (2.0 * p1 * c + 2.0 * p2 * s)
-        d = radial + s * s * slope + r * (6.0 * p1 * s + 2.0 * p2 * c)
-        product: Array = a * d - b * b
-        return product
+    def lost(r: Array) -> NDArray[np.bool_]:
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            _, _, a, b, c, d = distorted(r * cosine, r * sine, k)
+            within = a * d - b * c > 0.0
+        if len(k) > 5:
+            r2 = r * r
+            within &= 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])) > 0.0
+        return np.any(~within, axis=0)
 
     radii = np.linspace(0.0, _FARTHEST, _STEPS)
-    folded = np.flatnonzero(np.any(determinant(radii) <= 0.0, axis=0))
-    if folded.size == 0:
+    beyond = np.flatnonzero(lost(radii))
+    if beyond.size == 0:
         return float("inf")
-    low, high = radii[folded[0] - 1], radii[folded[0]]
+    low, high = radii[beyond[0] - 1], radii[beyond[0]]
     for _ in range(60):
         middle = 0.5 * (low + high)
-        if np.any(determinant(np.array([middle])) <= 0.0):
+        if lost(np.array([middle]))[0]:
             high = middle
         else:
             low = middle
     return float(low)
 
 
-def distort(xy: Array, coefficients: Array) -> tuple[Array, Array]:
-    """Apply Brown-Conrady distortion.
+def distort(xy: Array, coefficients: ArrayLike) -> tuple[Array, Array]:
+    """Apply distortion.
 
     Parameters
     ----------
     xy : (..., 2) float
         Undistorted normalised coordinates.
-    coefficients : (5,) float
-        ``k1, k2, p1, p2, k3``.
+    coefficients : (5,), (8,) or (12,) float
 
     Returns
     -------
@@ -96,37 +95,24 @@ def distort(xy: Array, coefficients: Array) -> tuple[Array, Array]:
     jacobian : (..., 2, 2) float
         Derivative of the distorted by the undistorted coordinates.
     """
-    k1, k2, p1, p2, k3 = coefficients
-    x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    fold = fold_radius(coefficients)
-    if np.isfinite(fold):
-        r2 = np.where(r2 < fold * fold, r2, np.nan)
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    d_radial = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)  # by r^2
-    out = np.stack(
-        (
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ),
-        axis=-1,
-    )
-    jacobian = np.empty((*x.shape, 2, 2))
-    jacobian[..., 0, 0] = radial + 2.0 * x * x * d_radial + 2.0 * p1 * y + 6.0 * p2 * x
-    jacobian[..., 0, 1] = 2.0 * x * y * d_radial + 2.0 * p1 * x + 2.0 * p2 * y
-    jacobian[..., 1, 0] = jacobian[..., 0, 1]
-    jacobian[..., 1, 1] = radial + 2.0 * y * y * d_radial + 6.0 * p1 * y + 2.0 * p2 * x
+    from slbench.rig.kernels import distort_all
+
+    points = np.asarray(xy, dtype=np.float64)
+    out, jacobian = np.empty(points.shape), np.empty((*points.shape, 2))
+    rows = np.ascontiguousarray(points).reshape(-1, 2)
+    k, fold2 = np.asarray(coefficients, dtype=np.float64), fold_radius(coefficients) ** 2
+    distort_all(rows, k, fold2, out.reshape(-1, 2), jacobian.reshape(-1, 4))
     return out, jacobian
 
 
-def undistort(xy: Array, coefficients: Array) -> Array:
+def undistort(xy: Array, coefficients: ArrayLike) -> Array:
     """Invert :func:`distort` by Newton's method.
 
     Parameters
     ----------
     xy : (..., 2) float
         Distorted normalised coordinates.
-    coefficients : (5,) float
+    coefficients : (5,), (8,) or (12,) float
 
     Returns
     -------
@@ -141,13 +127,9 @@ def undistort(xy: Array, coefficients: Array) -> Array:
 
     result = np.empty(target.shape)
     rows = np.ascontiguousarray(target).reshape(-1, 2)
-    undistort_all(rows, with_fold(coefficients), result.reshape(-1, 2))
+    k, fold2 = np.asarray(coefficients, dtype=np.float64), fold_radius(coefficients) ** 2
+    undistort_all(rows, k, fold2, result.reshape(-1, 2))
     return result
-
-
-def with_fold(coefficients: ArrayLike) -> Array:
-    """Return coefficients (5,) as compiled loops take them: the fold's squared radius behind."""
-    return np.append(np.asarray(coefficients, dtype=np.float64), fold_radius(coefficients) ** 2)
 
 
 def tilt_rotation(tau_x: float, tau_y: float) -> Array:

@@ -34,6 +34,7 @@ from numpy.typing import NDArray
 
 from slbench.core.errors import InputError, warn_user
 from slbench.core.io import OtherEntry, write_opencv_yaml
+from slbench.rig.coefficients import COEFFICIENTS
 from slbench.rig.device import Camera, Projector
 from slbench.rig.doubts import rig_doubts
 from slbench.rig.files.entries import Entries, Stated, rig_entries
@@ -251,12 +252,6 @@ def _device_arguments(values: _Values, name: str, depth_mm: float | None) -> dic
     # OpenCV's fx and fy may differ; the pixel's height takes up the difference.
     pitch[1] = focal / matrix[1, 1]
     distortion = values.array(f"dist_{name}", (4, 5, 8, 12, 14), np.zeros(5))
-    if distortion.size > 5 and np.any(distortion[5:12]):
-        raise InputError(
-            values.place(f"dist_{name}"),
-            "k1, k2, p1, p2, k3 and a sensor tilt only",
-            "rational or thin-prism coefficients",
-        )
     width, height = values.array(f"size_{name}", (2,))
     if not (width.is_integer() and height.is_integer()):
         raise InputError(values.place(f"size_{name}"), "whole numbers", f"{width} x {height}")
@@ -285,8 +280,8 @@ def _device_arguments(values: _Values, name: str, depth_mm: float | None) -> dic
         "pitch_mm": (float(pitch[0]), float(pitch[1])),
         "lens": lens,
         "principal_point": (float(matrix[0, 2]), float(matrix[1, 2])),
-        "distortion": tuple(float(x) for x in np.append(distortion[:5], 0.0)[:5]),
-        "tilt_rad": tuple(float(x) for x in distortion[12:14]) or (0.0, 0.0),
+        "distortion": tuple(float(x) for x in distortion[: len(COEFFICIENTS)]),
+        "tilt_rad": tuple(float(x) for x in distortion[len(COEFFICIENTS) :]) or (0.0, 0.0),
         "blur_px": values.number(f"blur_px_{name}", 0.0),
     }
 

@@ -3,7 +3,8 @@ r"""The parameters of a rig by name, their covariance, and rigs that are off by 
 A parameter is named by its device and what it is: ``camera.fx_px``, ``projector.rx_rad``.
 
 - ``fx_px``, ``fy_px``, ``cx_px``, ``cy_px``: OpenCV's matrix K;
-- ``k1``, ``k2``, ``p1``, ``p2``, ``k3``: OpenCV's distortion;
+- ``k1``, ``k2``, ``p1``, ``p2``, ``k3`` and, of a rational lens or one with a thin prism, ``k4``,
+  ``k5``, ``k6``, ``s1``, ``s2``, ``s3``, ``s4``: OpenCV's distortion;
 - ``rx_rad``, ``ry_rad``, ``rz_rad``: a turn about the device's own axes through its lens, as a
   rotation vector r: ``R' = R exp([r]_x)`` with ``X_world = R X_device + p``;
 - ``tx_mm``, ``ty_mm``, ``tz_mm``: a shift along the device's own axes: ``p' = p + R t``;
@@ -33,7 +34,8 @@ from slbench.core.io import read_json, write_json
 from slbench.core.random import generator
 from slbench.core.registry import quoted
 from slbench.core.show.display import brief
-from slbench.rig.device import Camera, Projector
+from slbench.rig.coefficients import COEFFICIENTS
+from slbench.rig.device import Camera, Device, Projector
 from slbench.rig.files.source import Source
 from slbench.rig.pose import Pose
 from slbench.rig.rig import Rig
@@ -42,12 +44,13 @@ Array = NDArray[np.float64]
 
 ROLES = ("camera", "projector")
 LENS = ("fx_px", "fy_px", "cx_px", "cy_px")
-DISTORTION = ("k1", "k2", "p1", "p2", "k3")
-TURN = ("rx_rad", "ry_rad", "rz_rad")
-SHIFT = ("tx_mm", "ty_mm", "tz_mm")
 TILT = ("tau_x_rad", "tau_y_rad")
-#: Parameters of one device.
-DEVICE_PARAMETERS = (*LENS, *DISTORTION, *TURN, *SHIFT, *TILT)
+_TURN = ("rx_rad", "ry_rad", "rz_rad")
+_SHIFT = ("tx_mm", "ty_mm", "tz_mm")
+#: Parameters of a device's lens and panel, of its pose, and all of them.
+OPTICS = (*LENS, *COEFFICIENTS, *TILT)
+POSE = (*_TURN, *_SHIFT)
+DEVICE_PARAMETERS = (*OPTICS, *POSE)
 #: Parameters of a rig of one camera and one projector.
 RIG_PARAMETERS = tuple(f"{role}.{name}" for role in ROLES for name in DEVICE_PARAMETERS)
 
@@ -192,32 +195,39 @@ def moved(rig: Rig, error: Mapping[str, float]) -> Rig:
         if name not in RIG_PARAMETERS:
             raise InputError("parameters", "those of a rig", quoted(name, RIG_PARAMETERS))
     camera, projector = (
-        _moved(device, np.array([error.get(f"{role}.{name}", 0.0) for name in DEVICE_PARAMETERS]))
+        _moved(device, {name: error.get(f"{role}.{name}", 0.0) for name in DEVICE_PARAMETERS})
         for role, device in zip(ROLES, (rig.camera, rig.projector), strict=True)
     )
     pair = rig.only
     return rig.having(**{pair.camera: camera, pair.projector: projector})
 
 
-def _moved(device: Any, error: Array) -> Camera | Projector:
-    if not error.any():
+def optics_of(device: Device) -> dict[str, float]:
+    """Return the parameters of a device's lens and panel by name, without terms it has not."""
+    names = (*LENS, *COEFFICIENTS[: len(device.distortion)], *TILT)
+    pinhole = (*np.diag(device.matrix)[:2], *device.centre)
+    values = (*pinhole, *device.distortion, *device.tilt_rad)
+    return {name: float(value) for name, value in zip(names, values, strict=True)}
+
+
+def _moved(device: Any, error: Mapping[str, float]) -> Camera | Projector:
+    if not any(error.values()):
         return device  # type: ignore[no-any-return]
     from scipy.spatial.transform import Rotation  # a third of a second, for few scenes
 
-    (fx, fy, cx, cy), distortion = error[:4], error[4:9]
-    turn, shift, tilt = error[9:12], error[12:15], error[15:]
-    matrix = device.matrix
+    own = optics_of(device)
+    fx, fy, cx, cy, *distortion = (own.get(name, 0.0) + error[name] for name in OPTICS)
+    turn, shift = ([error[name] for name in names] for names in (_TURN, _SHIFT))
     # The pixel's width stays, its height takes up the difference, as in a file of OpenCV's.
-    focal = (matrix[0, 0] + fx) * device.pitch_mm[0]
-    height = focal / (matrix[1, 1] + fy)
+    focal = fx * device.pitch_mm[0]
     rotation, position = device.pose.rotation, device.pose.position
     pose = Pose(rotation @ Rotation.from_rotvec(turn).as_matrix(), position + rotation @ shift)
     return replace(  # type: ignore[no-any-return]
         device,
-        lens=replace(device.lens, focal_length_mm=float(focal)),
-        pitch_mm=(device.pitch_mm[0], float(height)),
-        principal_point=(device.centre[0] + float(cx), device.centre[1] + float(cy)),
-        distortion=tuple((np.array(device.distortion) + distortion).tolist()),
-        tilt_rad=tuple((np.array(device.tilt_rad) + tilt).tolist()),
+        lens=replace(device.lens, focal_length_mm=focal),
+        pitch_mm=(device.pitch_mm[0], focal / fy),
+        principal_point=(cx, cy),
+        distortion=tuple(distortion[: len(COEFFICIENTS)]),
+        tilt_rad=tuple(distortion[len(COEFFICIENTS) :]),
         pose=pose,
     )

@@ -16,16 +16,17 @@ from slbench.rig import Camera, Lens, Pose, Projector, Rig
 # Baselines along both image axes, so that panel columns and rows alike tell the depth.
 CAMERA_AT, PROJECTOR_AT = (-260.0, -210.0, 420.0), (150.0, 120.0, 700.0)
 DISTORTION = (-0.15, 0.08, 0.002, -0.003, 0.01)
+RATIONAL = (0.4, -0.3, 0.002, -0.003, 0.2, 0.7, -0.2, 0.3, 0.004, -0.01, -0.003, 0.02)
 TILT = (0.05, -0.03)
 KINDS = ("perspective", "telecentric")
 
 
 def make_rig(
-    camera_kind="perspective", projector_kind="perspective", distorted=False, tilted=False
+    camera_kind="perspective", projector_kind="perspective", distortion=(0.0,) * 5, tilted=False
 ):
     """Return a rig with a 24 x 18 px camera and a 320 x 240 px panel, fields of some 60 mm."""
     more = {
-        "distortion": DISTORTION if distorted else (0.0,) * 5,
+        "distortion": distortion,
         "tilt_rad": TILT if tilted else (0.0, 0.0),
     }
 
@@ -53,7 +54,11 @@ def make_rig(
 
 
 ALL_RIGS = st.builds(
-    make_rig, st.sampled_from(KINDS), st.sampled_from(KINDS), st.booleans(), st.booleans()
+    make_rig,
+    st.sampled_from(KINDS),
+    st.sampled_from(KINDS),
+    st.sampled_from([(0.0,) * 5, DISTORTION, RATIONAL[:8], RATIONAL]),
+    st.booleans(),
 )
 
 
@@ -110,20 +115,21 @@ def test_sensitivity_is_the_derivative(rig, axes, seed):
 
 @pytest.mark.parametrize("axes", ["u", "v", "uv"])
 @pytest.mark.parametrize("tilted", [False, True])
-def test_distortion_costs_no_digits(axes, tilted):
+@pytest.mark.parametrize("distortion", [DISTORTION, RATIONAL], ids=["plain", "rational"])
+def test_distortion_costs_no_digits(axes, tilted, distortion):
     """Newton's last step squares what is left: rounding alone, as without distortion."""
-    rig = make_rig(distorted=True, tilted=tilted)
+    rig = make_rig(distortion=distortion, tilted=tilted)
     points = exact_points(rig, 11)
     cloud = triangulate(rig, phase_map(rig, points, axes))
     # 2^-53 of 700 mm is 8e-14 mm; some ten operations on it, and angles that double it.
     np.testing.assert_allclose(cloud.image(cloud.points), points, rtol=0, atol=1e-11)
 
 
-@pytest.mark.parametrize("distorted", [False, True])
+@pytest.mark.parametrize("distortion", [(0.0,) * 5, DISTORTION], ids=["ideal", "distorted"])
 @pytest.mark.parametrize("poor", [1.0, 10.0])
-def test_two_axes_are_as_good_as_both_together(distorted, poor):
+def test_two_axes_are_as_good_as_both_together(distortion, poor):
     """As noisy as predicted, better than either axis, and than the point nearest to both rays."""
-    rig = make_rig(distorted=distorted)
+    rig = make_rig(distortion=distortion)
     points = exact_points(rig, 5)
     exact = phase_map(rig, points, "uv")
     deviations = {"u": 0.05, "v": 0.05 * poor}
@@ -192,7 +198,7 @@ def test_sensitivity_of_rays_that_miss_each_other(rig, seed):
 
 
 def test_one_axis_moves_a_point_along_its_camera_ray():
-    rig = make_rig(distorted=True)
+    rig = make_rig(distortion=DISTORTION)
     cloud = triangulate(rig, phase_map(rig, exact_points(rig, 0), "u"))
     _, directions = rig.camera.unproject(cloud.pixels.astype(float))
     across = np.cross(cloud.sensitivity[:, 0], directions)
@@ -200,7 +206,7 @@ def test_one_axis_moves_a_point_along_its_camera_ray():
 
 
 def test_two_axes_agree_with_independent_least_squares():
-    rig = make_rig(distorted=True, tilted=True)
+    rig = make_rig(distortion=DISTORTION, tilted=True)
     rng = np.random.default_rng(1)
     pixels = rng.uniform((0, 0), (23, 17), (200, 2))
     origins, directions = rig.camera.unproject(pixels)

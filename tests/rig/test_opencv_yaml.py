@@ -179,6 +179,23 @@ class TestPlainCalibration:
         assert camera.distortion == (-0.1, 0.02, 0.001, 0.002, 0.0)
         assert camera.tilt_rad == ((0.03, -0.02) if count == 14 else (0.0, 0.0))
 
+    @pytest.mark.parametrize(("count", "written_as"), [(5, 5), (6, 8), (8, 8), (9, 12), (14, 14)])
+    def test_as_many_coefficients_are_written_as_it_takes(self, tmp_path, count, written_as):
+        coefficients = np.zeros(14)
+        coefficients[:count] = 0.01 * np.arange(1, count + 1)
+        read = read_rig(written(tmp_path / "rig.yml", plain() | {"dist_camera": coefficients}))
+        write_rig(tmp_path / "again.yml", read)
+        file = cv2.FileStorage(str(tmp_path / "again.yml"), cv2.FILE_STORAGE_READ)
+        theirs = file.getNode("dist_camera").mat().ravel()
+        file.release()
+        np.testing.assert_array_equal(theirs, coefficients[:written_as])
+        assert read_rig(tmp_path / "again.yml").camera.distortion == read.camera.distortion
+        world = np.random.default_rng(0).uniform((-25, -25, 375), (25, 25, 425), (200, 3))
+        expected = cv2.projectPoints(
+            world, np.zeros(3), np.zeros(3), read.camera.matrix, coefficients
+        )[0][:, 0]
+        np.testing.assert_allclose(read.camera.project(world), expected, atol=1e-9)
+
     def test_distortion_may_be_missing(self, tmp_path):
         values = plain() | {"dist_camera": None}
         camera = read_rig(written(tmp_path / "rig.yml", values)).camera
@@ -188,8 +205,6 @@ class TestPlainCalibration:
 NAN = np.full((3, 3), np.nan)
 SKEWED = np.array([[2000.0, 3.0, 310.0], [0.0, 2000.0, 250.0], [0.0, 0.0, 1.0]])
 TRANSPOSED = np.array([[2000.0, 0.0, 0.0], [0.0, 2000.0, 0.0], [310.0, 250.0, 1.0]])
-RATIONAL = np.concatenate((np.zeros(5), [0.1], np.zeros(2)))
-PRISM = np.concatenate((np.zeros(8), [0.1], np.zeros(3)))
 
 BAD = [
     *((name, None) for name in ("K_camera", "size_camera", "K_projector", "size_projector")),
@@ -205,8 +220,7 @@ BAD = [
     ("size_camera", np.array([640.5, 480.0])),
     ("size_camera", np.array([0.0, 480.0])),
     ("dist_camera", np.zeros(6)),
-    ("dist_camera", RATIONAL),
-    ("dist_projector", PRISM),
+    ("dist_camera", np.full(8, 1e12)),
     ("dist_camera", np.concatenate((np.zeros(12), [2.0, 0.0]))),
     ("R", np.diag([1.0, 1.0, -1.0])),
     ("R", 2.0 * np.eye(3)),

@@ -9,6 +9,7 @@ import pytest
 from scenes_small import small
 
 from slbench.core.errors import InputError
+from slbench.rig.coefficients import COEFFICIENTS
 from slbench.rig.opencv import read_rig, write_rig
 from slbench.rig.parameters import (
     DEVICE_PARAMETERS,
@@ -24,7 +25,11 @@ def rig():
     own = small("plane").rig
     return own.having(
         camera=replace(own.camera, distortion=(0.1, -0.05, 1e-3, -2e-3, 0.01)),
-        projector=replace(own.projector, distortion=(-0.02, 0.01, 5e-4, 1e-3, 0.0)),
+        projector=replace(
+            own.projector,
+            distortion=(0.3, -0.1, 5e-4, 1e-3, 0.02, 0.4, -0.1, 0.03, 1e-3, 2e-3, -1e-3, 3e-3),
+            tilt_rad=(0.03, -0.02),
+        ),
     )
 
 
@@ -33,12 +38,12 @@ POINTS = np.random.default_rng(1).uniform(-80, 80, (50, 3)) * [1.0, 1.0, 0.25]
 
 def by_opencv(device, error):
     """Project points by OpenCV with parameters that are off."""
-    values = dict(zip(DEVICE_PARAMETERS, np.zeros(len(DEVICE_PARAMETERS)), strict=True)) | error
+    values = dict.fromkeys(DEVICE_PARAMETERS, 0.0) | error
     matrix = device.matrix.copy()
     matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += [values[k] for k in ("fx_px", "fy_px", "cx_px", "cy_px")]
-    dist = np.array(device.distortion) + [values[k] for k in ("k1", "k2", "p1", "p2", "k3")]
-    tilt = np.array(device.tilt_rad) + [values[k] for k in ("tau_x_rad", "tau_y_rad")]
-    dist = np.concatenate((dist, np.zeros(7), tilt))
+    dist = np.zeros(14)
+    dist[: len(device.distortion)], dist[12:] = device.distortion, device.tilt_rad
+    dist += [values[k] for k in (*COEFFICIENTS, "tau_x_rad", "tau_y_rad")]
     turn, _ = cv2.Rodrigues(np.array([values[k] for k in ("rx_rad", "ry_rad", "rz_rad")]))
     shift = np.array([values[k] for k in ("tx_mm", "ty_mm", "tz_mm")])
     rotation = device.pose.rotation @ turn
@@ -50,8 +55,8 @@ def by_opencv(device, error):
 @pytest.mark.parametrize("role", ["camera", "projector"])
 @pytest.mark.parametrize("name", DEVICE_PARAMETERS)
 def test_each_parameter_is_that_of_opencv(rig, role, name):
-    size = {"k1": 0.1, "k2": 0.5, "k3": 5.0}.get(name, 0.3)
-    size = 1e-3 if name.endswith("_rad") or name[0] == "p" else size
+    size = {"k1": 0.1, "k2": 0.5, "k3": 5.0, "k6": 5.0}.get(name, 0.3)
+    size = 1e-3 if name.endswith("_rad") or name[0] in "ps" else size
     off = moved(rig, {f"{role}.{name}": size})
     device = getattr(off, role)
     np.testing.assert_allclose(

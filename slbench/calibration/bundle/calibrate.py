@@ -27,15 +27,7 @@ from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.patterns import Axis
 from slbench.rig import Pose, Rig
-from slbench.rig.parameters import (
-    DISTORTION,
-    LENS,
-    ROLES,
-    SHIFT,
-    TILT,
-    TURN,
-    ParameterCovariance,
-)
+from slbench.rig.parameters import POSE, ROLES, ParameterCovariance, optics_of
 
 Array = NDArray[np.float64]
 
@@ -155,14 +147,11 @@ class BoardCalibration:
         std = self.covariance.std
         for role in ROLES:
             device = getattr(self.rig, role)
-            matrix = device.matrix
-            values = dict(zip(LENS, (*np.diag(matrix)[:2], *device.centre), strict=True))
-            values |= dict(zip(DISTORTION, device.distortion, strict=True))
-            values |= dict(zip(TILT, device.tilt_rad, strict=True))
+            values = optics_of(device)
             if role == "projector":
                 turn = Rotation.from_matrix(camera.rotation.T @ device.pose.rotation).as_rotvec()
                 place = camera.to_local(device.pose.position)
-                values |= dict(zip((*TURN, *SHIFT), (*turn, *place), strict=True))
+                values |= dict(zip(POSE, (*turn, *place), strict=True))
             table |= {
                 f"{role}.{name}": (float(value), std.get(f"{role}.{name}", 0.0))
                 for name, value in values.items()

@@ -11,17 +11,9 @@ from collections.abc import Mapping, Sequence
 
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
-from slbench.rig.parameters import (
-    DEVICE_PARAMETERS,
-    LENS,
-    RIG_PARAMETERS,
-    ROLES,
-    SHIFT,
-    TURN,
-)
+from slbench.rig.parameters import LENS, OPTICS, POSE, ROLES
 
 FOCAL = ("fx_px", "fy_px")
-POSE = (*TURN, *SHIFT)
 _RADIAL = ("k1", "k2")
 #: Parameters of a device's model, beside focal lengths and centre.
 DEVICE_MODELS: dict[str, tuple[str, ...]] = {
@@ -80,15 +72,14 @@ def read_fixed(texts: Sequence[str], where: str) -> dict[str, float | None]:
         For a name that is not known, a value that is no number, or none where there is no start.
     """
     fixed: dict[str, float | None] = {}
-    known = tuple(name for name in RIG_PARAMETERS if name.partition(".")[2] not in POSE)
-    lens = tuple(name for name in DEVICE_PARAMETERS if name not in POSE)
+    known = tuple(f"{role}.{name}" for role in ROLES for name in OPTICS)
     for text in texts:
         name, _, number = text.partition("=")
         name = name.strip()
-        full = [f"{role}.{name}" for role in ROLES] if name in lens else [name]
+        full = [f"{role}.{name}" for role in ROLES] if name in OPTICS else [name]
         if full[0] not in known:
             expected = "a parameter of a device, such as k3 or camera.cx_px"
-            raise InputError(where, expected, quoted(name, (*lens, *known)))
+            raise InputError(where, expected, quoted(name, (*OPTICS, *known)))
         try:
             value = float(number) if number else None
         except ValueError:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from slbench.calibration.bundle.views import BoardView
 from slbench.calibration.scales import GROSS, NORMAL_MAD
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
-from slbench.rig.parameters import DISTORTION, TILT
+from slbench.rig.coefficients import COEFFICIENTS
+from slbench.rig.parameters import TILT
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -172,8 +173,8 @@ def _device(
         "pitch_mm": (_NOMINAL_PITCH_MM, focal / fy),
         "lens": Lens(focal),
         "principal_point": (cx, cy),
-        "distortion": tuple(fixed.get(f"{role}.{name}", 0.0) for name in DISTORTION),
-        "tilt_rad": tuple(fixed.get(f"{role}.{name}", 0.0) for name in TILT),
+        "distortion": tuple(fixed.get(f"{role}.{k}", 0.0) for k in COEFFICIENTS),
+        "tilt_rad": tuple(fixed.get(f"{role}.{tau}", 0.0) for tau in TILT),
     }
     poses = [
         Pose(_nearest(cv2.Rodrigues(rotation)[0]), np.asarray(offset, dtype=np.float64).ravel())

@@ -50,6 +50,7 @@ __all__ = [
     "Interval",
     "Le",
     "Length",
+    "Lengths",
     "Lt",
     "MaxLen",
     "Measure",
@@ -99,6 +100,23 @@ class Words:
     """Metadata: what a message says is expected, where the type itself says it badly."""
 
     text: str
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """Metadata: how many items a list may have, where a range does not say it."""
+
+    counts: tuple[int, ...]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic_core import PydanticCustomError, core_schema
+
+        def of_a_length(items: tuple[Any, ...]) -> tuple[Any, ...]:
+            if len(items) not in self.counts:
+                raise PydanticCustomError("length", "a list of another length")
+            return items
+
+        return core_schema.no_info_after_validator_function(of_a_length, handler(source))
 
 
 FINITE = _FiniteMark()
@@ -216,8 +234,8 @@ Word = Annotated[str, MinLen(1), MaxLen(200)]
 Pair = tuple[Coordinate, Coordinate]
 #: A coefficient of distortion: those of long lenses go into the thousands.
 Coefficient = Annotated[float, FINITE, Interval(ge=-1e9, le=1e9)]
-#: OpenCV's k1, k2, p1, p2, k3.
-Distortion = tuple[Coefficient, Coefficient, Coefficient, Coefficient, Coefficient]
+#: OpenCV's k1, k2, p1, p2, (k3, (k4, k5, k6, (s1, s2, s3, s4))).
+Distortion = Annotated[tuple[Coefficient, ...], Lengths((4, 5, 8, 12))]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 #: Lengths along x, y and z, mm.
 Size = tuple[Measure, Measure, Measure]

@@ -22,7 +22,7 @@ from annotated_types import Ge, Gt, Interval, Le, Lt, MaxLen, MinLen
 
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
-from slbench.core.validation.types import FINITE, LARGEST, SMALLEST, Words
+from slbench.core.validation.types import FINITE, LARGEST, SMALLEST, Lengths, Words
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
@@ -219,8 +219,9 @@ def described(hint: Any, place: Sequence[str | int] = ()) -> str:
     return f"a {origin.__name__}" if isinstance(origin, type) else ""
 
 
-def _either(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} or {words[-1]}"
+def _either(words: Sequence[object]) -> str:
+    *others, last = map(str, words)
+    return f"{', '.join(others)} or {last}" if others else last
 
 
 def _list(base: Any, metadata: Sequence[Any], place: Sequence[str | int]) -> str:
@@ -234,6 +235,7 @@ def _list(base: Any, metadata: Sequence[Any], place: Sequence[str | int]) -> str
     most = [m.max_length for m in metadata if isinstance(m, MaxLen)]
     size = f" of at least {least[0]}" if least and least[0] else ""
     size += f" of at most {most[0]}" if most else ""
+    size += "".join(f" of {_either(m.counts)}" for m in metadata if isinstance(m, Lengths))
     return f"a list{size}, each {each}"
 
 

@@ -23,6 +23,8 @@ CAMERA_DISTANCE, PROJECTOR_DISTANCE = 453.87, 809.78
 
 #: Moderate lens errors: some 2 px at the corners of an 80 x 60 px image.
 DISTORTION = (-0.25, 0.10, 0.002, -0.003, 0.02)
+#: With a denominator that matters, and a thin prism.
+RATIONAL = (0.4, -0.3, 0.002, -0.003, 0.2, 0.7, -0.2, 0.3, 0.004, -0.01, -0.003, 0.02)
 TILT = (0.06, -0.04)
 
 

@@ -11,6 +11,7 @@ import pytest
 from helpers_scene import (
     CONFIGURATION_5,
     DISTORTION,
+    RATIONAL,
     TILT,
     camera,
     facing_rig,
@@ -75,6 +76,10 @@ RIGS = {
     ),
     "apertures": (camera(2.0, size=(160, 120)), projector(5.6, size=(16, 12))),
     "camera distorted": (camera(size=(160, 120), **ERRORS), projector(size=(16, 12))),
+    "all of OpenCV's": (
+        camera(size=(160, 120), distortion=RATIONAL, tilt_rad=TILT),
+        projector(size=(16, 12), distortion=RATIONAL),
+    ),
     "projector distorted": (camera(size=(160, 120)), projector(size=(16, 12), **ERRORS)),
     "telecentric, both tilted": (
         replace(camera(size=(160, 120), tilt_rad=TILT), lens=Lens.telecentric(0.04, 0.004, 453.87)),

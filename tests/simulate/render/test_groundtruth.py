@@ -22,15 +22,16 @@ from slbench.scene.model import Scene, SceneObject
 from slbench.scene.truth import GroundTruth, Status
 
 DISTORTION = (-0.2, 0.08, 0.002, -0.003, 0.02)
+RATIONAL = (0.4, -0.3, 0.002, -0.003, 0.2, 0.7, -0.2, 0.3, 0.004, -0.01, -0.003, 0.02)
 TILT = (0.05, -0.03)
 SIZE = (80, 60)
 PANEL = (160, 120)
 BALL = objects.build_artefact("sphere", {"radius_mm": 12.5, "max_form_error_um": 50.0})
 
 
-def make_rig(camera=None, projector=None, distorted=False):
+def make_rig(camera=None, projector=None, distortion=None):
     """Return a rig with fields of some 130 mm (camera) and 190 mm (projector) at the origin."""
-    more = {"distortion": DISTORTION, "tilt_rad": TILT} if distorted else {}
+    more = {"distortion": distortion, "tilt_rad": TILT} if distortion else {}
     return Rig(
         Camera(
             *SIZE,
@@ -51,7 +52,8 @@ def make_rig(camera=None, projector=None, distorted=False):
 
 RIGS = {
     "thin lenses": make_rig(),
-    "distorted and tilted": make_rig(distorted=True),
+    "distorted and tilted": make_rig(distortion=DISTORTION),
+    "rational with a thin prism": make_rig(distortion=RATIONAL),
     "telecentric": make_rig(
         Lens.telecentric(0.04, 0.01, 440.0), Lens.telecentric(0.04, 0.005, 780.0)
     ),

@@ -7,6 +7,7 @@ import pytest
 from helpers_scene import (
     CONFIGURATION_5,
     DISTORTION,
+    RATIONAL,
     TILT,
     agreement,
     camera,
@@ -41,6 +42,8 @@ DEVICES = {
     "aperture": camera(4.0),
     "focus at infinity": camera(4.0, focus=np.inf),
     "distorted": camera(4.0, distortion=DISTORTION),
+    "rational": camera(4.0, distortion=RATIONAL[:8]),
+    "all of OpenCV's": camera(4.0, distortion=RATIONAL, tilt_rad=TILT),
     "tilted": camera(4.0, tilt_rad=TILT),
     "off centre": camera(4.0, principal_point=(30.2, 41.7), **ERRORS),
     "telecentric": replace(camera(**ERRORS), lens=Lens.telecentric(0.05, 0.01, 450.0)),

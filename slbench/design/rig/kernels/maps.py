@@ -17,7 +17,7 @@ from slbench.design.rig.hardware import Hardware, Placement
 from slbench.design.rig.kernels import loops
 from slbench.design.rig.kernels.rows import EDGES
 from slbench.rig import Device, Pose
-from slbench.rig.distortion import with_fold
+from slbench.rig.distortion import fold_radius
 
 Array = NDArray[np.float64]
 
@@ -242,13 +242,13 @@ class Maps:
             return rays, np.empty((0, 0, 2))
         return rays, projector.normalise(projector.pixel_grid())
 
-    def _lens(self) -> tuple[Array, Array, Array]:
+    def _lens(self) -> tuple[tuple[Array, float], Array, Array]:
         """Return the projector's distortion, tilt and pixels for the kernel that distorts."""
         projector = self.hardware.projector
         focal = np.array([projector.matrix[0, 0], projector.matrix[1, 1]])
         tilt = np.asarray(projector.tilt_homography, dtype=np.float64)
         return (
-            with_fold(projector.distortion),
+            (np.array(projector.distortion), fold_radius(projector.distortion) ** 2),
             np.ascontiguousarray(tilt[[*self._order, 2]]),
             np.concatenate((focal[self._order], np.array(projector.centre)[self._order])),
         )

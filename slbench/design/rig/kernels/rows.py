@@ -22,6 +22,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from slbench.rig.kernels import distorted
+
 #: In place of a number of coded axes: one axis, reconstructed as the thesis's table 5 must have
 #: been, from a ray and a place of the column that are not the pixels' centres, px.
 EDGES = -1
@@ -168,7 +170,7 @@ def distorted_row(  # type: ignore[no-untyped-def]
 
     `rays` (columns, 9, 2) are the undistorted coordinates of each pixel's rays, the fifth
     the centre's; `ground` maps them to the plane; `lens` is ``(projector rotation, projector
-    origin, focus distance or 0, distortion (6,), tilt (3, 3), (fu, fv, u0, v0))``; `table`
+    origin, focus distance or 0, (distortion, fold2), tilt (3, 3), (fu, fv, u0, v0))``; `table`
     (height, width, 2) the undistorted coordinates of the panel's pixels, for two coded axes.
     """
     columns = np.empty(9)
@@ -214,7 +216,7 @@ def _project(x, y, z, lens):  # type: ignore[no-untyped-def]
 
     NaN behind the projector and beyond the fold of its distortion.
     """
-    rotation, origin, telecentric, k, tilt, pixel = lens
+    rotation, origin, telecentric, (coefficients, fold2), tilt, pixel = lens
     dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
     depth = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
     if not depth > 0.0:
@@ -223,12 +225,9 @@ def _project(x, y, z, lens):  # type: ignore[no-untyped-def]
         depth = telecentric
     p = (rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / depth
     q = (rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / depth
-    r2 = p * p + q * q
-    if r2 >= k[5]:
+    if p * p + q * q >= fold2:
         return np.nan, np.nan
-    radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
-    s = p * radial + 2.0 * k[2] * p * q + k[3] * (r2 + 2.0 * p * p)
-    t = q * radial + k[2] * (r2 + 2.0 * q * q) + 2.0 * k[3] * p * q
+    s, t = distorted(p, q, coefficients)[:2]
     w = tilt[2, 0] * s + tilt[2, 1] * t + tilt[2, 2]
     u = (tilt[0, 0] * s + tilt[0, 1] * t + tilt[0, 2]) / w
     v = (tilt[1, 0] * s + tilt[1, 1] * t + tilt[1, 2]) / w

@@ -3,8 +3,9 @@
 Mitsuba's ``perspective`` and ``thinlens`` know neither distortion nor tilt.  Parameters are
 those of ``thinlens_projector`` (render/projector.py) without the picture: ``fov`` or
 ``focal_length`` and ``pixel_pitch``, ``aperture_radius``, ``focus_distance``,
-``principal_point_u/v``, ``k1 k2 p1 p2 k3``, ``tilt_x tilt_y``, ``telecentric``; ``to_world`` in
-Mitsuba's convention (x left, y up, z forward); film and sampler as for any sensor.
+``principal_point_u/v``, OpenCV's ``k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4``, ``tilt_x tilt_y``,
+``telecentric``; ``to_world`` in Mitsuba's convention (x left, y up, z forward); film and sampler as
+for any sensor.
 
 A spread by diffraction depends on the defocus of what is seen: ``geometry``, a Mitsuba scene of
 the objects, tells the camera how far that is.  Without it everything diffracts as in focus.

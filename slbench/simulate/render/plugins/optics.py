@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from slbench.rig import Device, Lens
+from slbench.rig.coefficients import COEFFICIENTS, distorted
 from slbench.rig.distortion import fold_radius
 from slbench.rig.spread import RING_SOFTENING
 from slbench.simulate.render.mitsuba import dr, mi
@@ -31,6 +32,10 @@ from slbench.simulate.render.mitsuba import dr, mi
 #: Newton steps of the undistortion: quadratic convergence reaches single precision in fewer
 #: than six for every lens that can be inverted at all.
 _NEWTON_STEPS = 6
+#: The same for rational lenses, which may bend both ways.
+_RATIONAL_STEPS = 12
+#: The least determinant of a Jacobian that a step divides by.
+_LEAST_DETERMINANT = 1e-6
 
 
 def opaque(value: float) -> Any:
@@ -59,7 +64,7 @@ class PanelOptics:
         self.aperture = opaque(lens.defocusing_radius_mm) if lens.defocusing_radius_mm > 0 else None
         self.distortion = [opaque(k) for k in device.distortion] if any(device.distortion) else None
         fold = fold_radius(device.distortion)
-        self.fold2 = opaque(fold**2) if np.isfinite(fold) else None
+        self.fold = opaque(fold) if np.isfinite(fold) else None
         self.aspect = opaque(device.pitch_mm[0] / device.pitch_mm[1])
         self.rings: tuple[Any, int, int, Any] | None = None
         if device.spread.diffraction_px > 0 or device.spread.blur_px > 0:
@@ -79,10 +84,10 @@ class PanelOptics:
     # -- panel <-> normalised coordinates ----------------------------------------------
 
     def _to_pixel(self, xy: mi.Point2f) -> mi.Point2f:
-        if self.fold2 is not None:
-            xy = dr.select(dr.squared_norm(xy) < self.fold2, xy, dr.nan)
+        if self.fold is not None:
+            xy = dr.select(dr.squared_norm(xy) < dr.square(self.fold), xy, dr.nan)
         if self.distortion is not None:
-            xy = _distort(xy, self.distortion)[0]
+            xy = mi.Point2f(*distorted(xy.x, xy.y, self.distortion)[:2])
         if self.tilt is not None:
             xy = _homography(xy, self.tilt)
         return mi.Point2f(self.focal * xy + self.centre)
@@ -92,15 +97,28 @@ class PanelOptics:
         if self.untilt is not None:
             xy = _homography(xy, self.untilt)
         if self.distortion is not None:
-            target = mi.Point2f(xy)
-            for _ in range(_NEWTON_STEPS):
-                value, (a, b, d) = _distort(xy, self.distortion)
-                error = value - target
-                scale = dr.rcp(dr.maximum(a * d - b * b, 1e-3))
-                xy = mi.Point2f(
-                    xy.x - (d * error.x - b * error.y) * scale,
-                    xy.y - (a * error.y - b * error.x) * scale,
-                )
+            xy = self._undistorted(xy)
+        return xy
+
+    def _undistorted(self, target: mi.Point2f) -> mi.Point2f:
+        """Invert distortion as :func:`slbench.rig.kernels.undistorted` does, without branches."""
+        xy = mi.Point2f(target)
+        best, least = mi.Point2f(0.0), dr.maximum(dr.abs(target.x), dr.abs(target.y))
+        plain = len(self.device.distortion) == 5
+        for _ in range(_NEWTON_STEPS if plain else _RATIONAL_STEPS):
+            if self.fold is not None:
+                far = dr.squared_norm(xy) >= dr.square(self.fold)
+                half_way = 0.5 * (dr.norm(best) + self.fold) * dr.rsqrt(dr.squared_norm(xy))
+                xy = dr.select(far, xy * half_way, xy)
+            at_x, at_y, a, b, c, d = distorted(xy.x, xy.y, self.distortion)
+            x, y = at_x - target.x, at_y - target.y
+            residual = dr.maximum(dr.abs(x), dr.abs(y))
+            scale = dr.rcp(dr.maximum(a * d - b * c, _LEAST_DETERMINANT))
+            step = mi.Point2f(xy.x - (d * x - b * y) * scale, xy.y - (a * y - c * x) * scale)
+            worse = residual > least
+            step = dr.select(worse, 0.5 * (xy + best), step)
+            best, least = dr.select(worse, best, xy), dr.minimum(residual, least)
+            xy = step
         return xy
 
     def area(self, pixel: mi.Point2f) -> mi.Float:
@@ -108,8 +126,9 @@ class PanelOptics:
         scale = self.focal.x * self.focal.y
         xy = self._from_pixel(pixel)
         if self.distortion is not None:
-            xy, (a, b, d) = _distort(xy, self.distortion)
-            scale *= a * d - b * b
+            at_x, at_y, a, b, c, d = distorted(xy.x, xy.y, self.distortion)
+            xy = mi.Point2f(at_x, at_y)
+            scale *= a * d - b * c
         if self.tilt is not None:
             h = self.tilt
             determinant = (
@@ -122,7 +141,7 @@ class PanelOptics:
 
     def reached(self, pixel: mi.Point2f) -> mi.Bool:
         """Return whether a position is one: it is NaN beyond the fold of the distortion."""
-        return mi.Bool(True) if self.fold2 is None else dr.isfinite(pixel.x)
+        return mi.Bool(True) if self.fold is None else dr.isfinite(pixel.x)
 
     def inside(self, pixel: mi.Point2f) -> mi.Bool:
         """Return whether a pixel position lies on the panel."""
@@ -293,23 +312,6 @@ def _homography(xy: mi.Point2f, h: Sequence[Any]) -> mi.Point2f:
     )
 
 
-def _distort(xy: mi.Point2f, coefficients: Sequence[Any]) -> tuple[mi.Point2f, tuple]:
-    """Distort and return the symmetric Jacobian (a, b, d) too; see rig/distortion.py."""
-    k1, k2, p1, p2, k3 = coefficients
-    x, y = xy.x, xy.y
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    d_radial = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3)
-    out = mi.Point2f(
-        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-    )
-    a = radial + 2.0 * x * x * d_radial + 2.0 * p1 * y + 6.0 * p2 * x
-    b = 2.0 * x * y * d_radial + 2.0 * p1 * x + 2.0 * p2 * y
-    d = radial + 2.0 * y * y * d_radial + 6.0 * p1 * y + 2.0 * p2 * x
-    return out, (a, b, d)
-
-
 def device_to_world(props: mi.Properties) -> mi.AffineTransform4f:
     """Return a plugin's transform from *our* device axes to the world.
 
@@ -340,7 +342,6 @@ def device_from_properties(props: mi.Properties, size: Sequence[int]) -> Device:
     else:
         fov = np.deg2rad(float(props.get("fov", 45.0)))
         focal = width * pitch / (2.0 * np.tan(fov / 2.0))
-    number = {name: float(props.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")}
     focus = float(props.get("focus_distance", np.inf))
     kind = "telecentric" if props.get("telecentric", False) else "perspective"
     lens = Lens(
@@ -361,7 +362,7 @@ def device_from_properties(props: mi.Properties, size: Sequence[int]) -> Device:
             float(props.get("principal_point_u", (width - 1) / 2.0)),
             float(props.get("principal_point_v", (height - 1) / 2.0)),
         ),
-        distortion=(number["k1"], number["k2"], number["p1"], number["p2"], number["k3"]),
+        distortion=tuple(float(props.get(name, 0.0)) for name in COEFFICIENTS),
         tilt_rad=(float(props.get("tilt_x", 0.0)), float(props.get("tilt_y", 0.0))),
         blur_px=float(props.get("blur", 0.0)),
     )
@@ -387,5 +388,4 @@ def properties_from_device(device: Device) -> dict[str, Any]:
     }
     if np.isfinite(lens.focus_distance_mm):
         result["focus_distance"] = lens.focus_distance_mm
-    result |= dict(zip(("k1", "k2", "p1", "p2", "k3"), device.distortion, strict=True))
-    return result
+    return result | dict(zip(COEFFICIENTS, device.distortion, strict=False))

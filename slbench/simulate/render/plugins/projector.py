@@ -1,7 +1,7 @@
 """``thinlens_projector``: a Mitsuba emitter that projects a picture through a real lens.
 
 Mitsuba's own ``projector`` is a pinhole and cannot defocus.  This one has an aperture, a
-focus distance, Brown-Conrady distortion, a tilted panel (Scheimpflug) and a telecentric mode,
+focus distance, OpenCV's distortion, a tilted panel (Scheimpflug) and a telecentric mode,
 and works in any Mitsuba scene and under any stock integrator::
 
     {
@@ -15,9 +15,10 @@ and works in any Mitsuba scene and under any stock integrator::
     }
 
 Further parameters: ``pixel_pitch_y``, ``principal_point_u``, ``principal_point_v`` (pixels,
-OpenCV convention), ``k1 k2 p1 p2 k3``, ``tilt_x tilt_y`` (rad), ``telecentric``,
-``natural_vignetting`` (cos^4; default true), ``diffraction_wavelength`` (nm with millimetres as
-scene units; 0: geometric optics), ``blur`` (standard deviation, pixels), ``all_in_focus``.
+OpenCV convention), ``k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4``, ``tilt_x tilt_y`` (rad),
+``telecentric``, ``natural_vignetting`` (cos^4; default true), ``diffraction_wavelength`` (nm with
+millimetres as scene units; 0: geometric optics), ``blur`` (standard deviation, pixels),
+``all_in_focus``.
 
 **Radiometry.**  The lens is small: seen from a surface point it is one direction, and each
 sample of its area carries the radiance of one panel position.  With natural vignetting a
