@@ -22,10 +22,11 @@ def summary_of(rig: Rig) -> dict[str, Any]:
     dict
         ``camera`` and ``projector``: ``name``, ``size_px``, ``focal_px`` (along u and v),
         ``focal_mm``, ``pitch_um``, ``principal_point_px``, ``field_deg`` (across and down, from
-        edge to edge through the principal point), ``distortion``, ``aperture_radius_mm``,
-        ``focus_distance_mm``, ``position_mm``; ``baseline_mm``; ``axes``: ``angle_deg`` between
-        them, and where they come closest before the lenses (else None), ``camera_mm``,
-        ``projector_mm``, ``gap_mm``, ``middle_mm``; ``volume_mm``; ``doubts``: list of str.
+        edge to edge through the panel's place nearest to the principal point), ``distortion``,
+        ``aperture_radius_mm``, ``focus_distance_mm``, ``position_mm``; ``baseline_mm``; ``axes``:
+        ``angle_deg`` between them, and where they come closest before the lenses (else None),
+        ``camera_mm``, ``projector_mm``, ``gap_mm``, ``middle_mm``; ``volume_mm``; ``doubts``: list
+        of str.
     """
     camera, projector = rig.camera, rig.projector
     one, two = (device.pose.rotation[:, 2] for device in (camera, projector))
@@ -55,7 +56,8 @@ def summary_of(rig: Rig) -> dict[str, Any]:
 def _device(device: Device) -> dict[str, Any]:
     matrix, lens = device.matrix, device.lens
     right, bottom = device.width - 0.5, device.height - 0.5
-    across, down = device.centre
+    # A shifted lens has its axis beside the panel.
+    across, down = np.clip(device.centre, -0.5, (right, bottom))
     ends = np.array([[-0.5, down], [right, down], [across, -0.5], [across, bottom]])
     return {
         "size_px": [device.width, device.height],

@@ -64,14 +64,13 @@ def _column(projector, point, direction, column, axis):
 
     Rays nearly in its surface may meet it nowhere that the projector sees: to first order there.
     """
-    found = point.copy()
-    beside = [projector.project(p)[:, axis] - column for p in (point, point + 1e-3 * direction)]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first = 1e-3 * beside[0] / (beside[0] - beside[1])
+    found, first = point.copy(), None
     for _ in range(30):
         pixel, jacobian = projector.project_with_jacobian(found)
         slope = np.einsum("ni,ni->n", jacobian[:, axis], direction)
-        found += ((column - pixel[:, axis]) / slope)[:, None] * direction
+        step = (column - pixel[:, axis]) / slope
+        first = step if first is None else first
+        found += step[:, None] * direction
     met = np.abs(projector.project(found)[:, axis] - column) < 1e-9
     return np.where(met[:, None], found, point + first[:, None] * direction)
 

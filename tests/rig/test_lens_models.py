@@ -1,22 +1,28 @@
 """OpenCV's rational, thin-prism and tilted lenses against OpenCV, and where they are defined."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
+from scenes_small import small
 
 from slbench.core.errors import InputError
 from slbench.rig import Camera, Lens, Pose
 from slbench.rig.coefficients import distorted, fewest
 from slbench.rig.distortion import distort, fold_radius, undistort
+from slbench.rig.doubts import rig_doubts
 from slbench.rig.kernels import normalised, projected
+from slbench.rig.summary import summary_of
 
 radial = st.floats(-1.0, 1.0)
-small = st.floats(-0.02, 0.02)
+tangential = st.floats(-0.02, 0.02)
 prism = st.floats(-0.05, 0.05)
-rational = st.tuples(*(radial, radial, small, small, radial), *(radial,) * 3)
-thin_prism = st.tuples(*(radial, radial, small, small, radial), *(radial,) * 3, *(prism,) * 4)
+brown = (radial, radial, tangential, tangential, radial)
+rational = st.tuples(*brown, *(radial,) * 3)
+thin_prism = st.tuples(*brown, *(radial,) * 3, *(prism,) * 4)
 #: Of the sensor, rad.
 tilts = st.tuples(*(st.floats(-0.1, 0.1),) * 2)
 
@@ -169,3 +175,20 @@ def test_a_lens_is_the_same_however_many_zeros_are_behind_it():
 def test_other_numbers_of_coefficients_are_refused(count):
     with pytest.raises(InputError, match="distortion: expected a list of 4, 5, 8 or 12, each"):
         camera((0.1,) * count)
+
+
+def test_a_shifted_lens_is_as_good_as_another(recwarn):
+    """A projector for rooms: its axis leaves the panel of 768 rows at row 855.8."""
+    one = replace(small("plane").rig.projector, width=1024, height=768, distortion=REAL["wide"])
+    shifted = replace(one, principal_point=(505.1, 855.8))
+    rig = small("plane").rig.having(projector=shifted)
+    pixels = shifted.pixel_grid()[::32, ::32]
+    origins, directions = shifted.unproject(pixels)
+    # Rounding of a few hundred mm through some 3000 px.
+    np.testing.assert_allclose(shifted.project(origins + 700.0 * directions), pixels, atol=1e-9)
+    assert list(rig_doubts(rig)) == []
+    told = summary_of(rig)["projector"]["field_deg"]
+    ends = shifted.unproject([[-0.5, 767.5], [1023.5, 767.5], [505.1, -0.5], [505.1, 767.5]])[1]
+    angles = [np.rad2deg(np.arccos(ends[k] @ ends[k + 1])) for k in (0, 2)]
+    np.testing.assert_allclose(told, angles, rtol=1e-7)
+    assert not recwarn.list

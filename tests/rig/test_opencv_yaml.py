@@ -265,6 +265,15 @@ def test_a_bad_value_is_one_line_that_names_file_and_key(key, value, tmp_path):
     assert key in line, line
 
 
+@pytest.mark.parametrize(
+    ("key", "value"), [("model", "fisheye"), ("camera_model", "Kannala-Brandt"), ("fisheye", 1)]
+)
+def test_lenses_of_other_models_are_refused_by_name(key, value, tmp_path):
+    path = written(tmp_path / "rig.yml", plain() | {key: value})
+    with pytest.raises(InputError, match=rf"rig.yml: {key}: expected OpenCV's pinhole"):
+        read_rig(path)
+
+
 @pytest.mark.parametrize("key", ["K_camera", "T", "lens_camera", "name_camera", "flux_w"])
 @pytest.mark.parametrize("entry", ['[ "a", "b" ]', "{ b: 1 }"])
 def test_a_needed_entry_of_another_structure_is_named(key, entry, tmp_path):

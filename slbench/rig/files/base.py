@@ -23,6 +23,10 @@ _ROLES = {
 }
 _LETTERS = {"c": "camera", "p": "projector"}
 
+#: What is said of a lens that is not OpenCV's pinhole; and words of entries that say it.
+_OTHER_LENSES = ("fisheye", "equidistant", "kannala", "omni", "mei", "double_sphere", "cahvor")
+_LENS = ("model", "lens", "type", "distortion", "fisheye", "projection")
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibratedDevice:
@@ -142,6 +146,27 @@ def coefficients(device: CalibratedDevice, counts: Sequence[int], title: str) ->
         expected = f"at most {max(counts)} coefficients of distortion, as {title} has"
         raise InputError(f"the {device.name}", expected, f"{used}, the last not zero")
     return np.append(device.distortion, np.zeros(count))[:count]
+
+
+def refuse_other_lenses(sources: Sequence[Source]) -> None:
+    """Refuse files that say of a lens that it is another than OpenCV's pinhole.
+
+    Raises
+    ------
+    InputError
+        Naming the entry that says so.
+    """
+    for source in sources:
+        for key, value in source.arrays.items():
+            if not any(word in key.lower() for word in _LENS):
+                continue
+            other = isinstance(value, str) and any(one in value.lower() for one in _OTHER_LENSES)
+            # OpenCV's sample for one camera has a number for it.
+            number = "fisheye" in key.lower() and isinstance(value, int | float)
+            if other or (number and value):
+                raise InputError(
+                    source.place(key), "OpenCV's pinhole with k1 k2 p1 p2 k3 ...", repr(value)
+                )
 
 
 def vector(value: object, where: str, sizes: Sequence[int] = ()) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
 from slbench.core.units import MILLIMETRES
-from slbench.rig.files.base import Calibration
+from slbench.rig.files.base import Calibration, refuse_other_lenses
 from slbench.rig.files.registry import format_of, rig_formats
 from slbench.rig.files.source import Source
 from slbench.rig.pose import checked_rotation
@@ -110,6 +110,7 @@ def rig_entries(paths: str | Path | Sequence[str | Path], stated: Stated | None 
         if stated != Stated():
             expected = "no unit, size, pitch, order or first pixel beside a file of slbench's own"
             raise InputError(sources[0].path, expected, "some of them")
+        refuse_other_lenses(sources)
         return Entries(path=sources[0].path, values=sources[0].storage)
     name = format_of(sources)
     if name is None:

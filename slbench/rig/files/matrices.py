@@ -27,6 +27,7 @@ from slbench.rig.files.base import (
     RigFormat,
     coefficients,
     from_rotation_vector,
+    refuse_other_lenses,
     vector,
 )
 from slbench.rig.files.source import Source
@@ -58,9 +59,6 @@ _PAIRS = (
     *(("left", "right"), ("l", "r"), ("1", "2"), ("0", "1"), ("cam1", "cam2"), ("cam0", "cam1")),
     *(("camera1", "camera2"), ("camera0", "camera1"), ("a", "b")),
 )
-#: What is said of a lens that is not OpenCV's pinhole; and words of entries that say it.
-_OTHER_LENSES = ("fisheye", "equidistant", "kannala", "omni", "mei", "double_sphere", "cahvor")
-_LENS = ("model", "lens", "type", "distortion", "fisheye", "projection")
 #: Numbers that may be a distortion, in a row: any but nine are, so that a wrong number is refused.
 _IN_A_ROW = (*range(1, 9), *range(10, 40))
 #: Numbers by which devices are told apart.
@@ -126,7 +124,7 @@ class MatrixFile(RigFormat):
     def read(self, sources: Sequence[Source]) -> Calibration:
         """Return what the files say."""
         entries = _Entries(sources)
-        _refuse_other_lenses(entries)
+        refuse_other_lenses(sources)
         pair = _pair(entries)
         if pair is not None:
             first, second = (_device(entries, one, one, one == pair[0]) for one in pair)
@@ -299,17 +297,6 @@ def _device(entries: _Entries, word: str, name: str, takes_pictures: bool) -> Ca
 def _rotation(value: np.ndarray) -> np.ndarray:
     """Return a rotation that is written as a matrix or as a vector."""
     return value.reshape(3, 3) if value.size == 9 else from_rotation_vector(value.ravel())
-
-
-def _refuse_other_lenses(entries: _Entries) -> None:
-    for name, found in entries.found.items():
-        if not any(word in name for word in _LENS):
-            continue
-        for place, value in found:
-            other = isinstance(value, str) and any(one in value.lower() for one in _OTHER_LENSES)
-            # OpenCV's sample for one camera has a number for it.
-            if other or ("fisheye" in name and isinstance(value, int | float) and value):
-                raise InputError(place, "OpenCV's pinhole with k1 k2 p1 p2 k3 ...", repr(value))
 
 
 OPENCV = MatrixFile()

@@ -112,6 +112,7 @@ def test_conventions_are_refused_in_one_line(hardware, convention, message):
 
 # -- against the reference ----------------------------------------------------------------
 
+RATIONAL = (-0.05, 0.08, 0.001, -0.002, 0.01, 0.1, -0.14, 0.05, 0.001, -0.002, -0.001, 0.003)
 BENT = replace(
     MACRO,
     camera=replace(MACRO.camera, distortion=(0.1, -0.05, 0.001, -0.002, 0.01)),
@@ -125,6 +126,12 @@ TILTED = replace(
 VARIANTS = {
     "thin lenses": MACRO,
     "distorted": BENT,
+    "rational": replace(
+        MACRO,
+        camera=replace(MACRO.camera, distortion=RATIONAL[:8]),
+        projector=replace(MACRO.projector, distortion=RATIONAL, tilt_rad=(-0.05, 0.08)),
+    ),
+    "lens shift": replace(BENT, projector=replace(BENT.projector, principal_point=(300.0, 491.0))),
     "distorted camera": replace(BENT, projector=MACRO.projector),
     "tilted": TILTED,
     "tilted and distorted": replace(TILTED, camera=replace(BENT.camera, tilt_rad=(0.1, -0.05))),

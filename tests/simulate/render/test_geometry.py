@@ -23,6 +23,7 @@ from helpers_scene import (
     scene,
     square_outline,
 )
+from scipy.spatial.transform import Rotation
 from stages import trace
 
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
@@ -91,14 +92,31 @@ RIGS = {
         camera(2.0, size=(160, 120), **ERRORS, **OFF_CENTRE),
         projector(5.6, size=(16, 12), principal_point=(8.1, 5.2), **ERRORS),
     ),
+    "lens shift": (
+        camera(size=(160, 120)),
+        projector(5.6, size=(16, 12), principal_point=(7.3, 13.4), distortion=RATIONAL),
+    ),
 }
 TARGET = Pose(np.eye(3), np.array([0.0, 0.0, 3.0]))
+
+
+def placed(name):
+    """Return a rig; a shifted lens has its axis beside the panel, whose middle looks ahead."""
+    rig = Rig.from_design(CONFIGURATION_5, *RIGS[name])
+    if name != "lens shift":
+        return rig
+    device = rig.projector
+    middle = (0.5 * (device.width - 1), 0.5 * (device.height - 1))
+    ray = np.append(device.normalise(middle), 1.0)
+    turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [ray])[0].as_matrix()
+    pose = Pose(device.pose.rotation @ turn, device.pose.position)
+    return rig.having(projector=device.posed(pose))
 
 
 @pytest.mark.parametrize("way", ["tracer", "mitsuba"])
 @pytest.mark.parametrize("name", RIGS)
 def test_one_panel_pixel_appears_where_geometry_says(name, way):
-    rig = Rig.from_design(CONFIGURATION_5, *RIGS[name])
+    rig = placed(name)
     scene_ = scene(rig, plate((400.0, 400.0), TARGET), samples=64)
     # Neither is the mirror image of the other, nor on a diagonal.
     lit = [(6, 4), (10, 6)]
@@ -122,7 +140,7 @@ def test_one_panel_pixel_appears_where_geometry_says(name, way):
 @pytest.mark.parametrize("name", RIGS)
 def test_a_small_feature_appears_where_geometry_says(name, way):
     """A small lit square in an otherwise empty world."""
-    rig = Rig.from_design(CONFIGURATION_5, *RIGS[name])
+    rig = placed(name)
     place = Pose(np.eye(3), np.array([22.0, 9.0, 3.0]))
     panel = white_panel(rig.projector)[None]
     (image,) = panel_images(scene(rig, plate((10.0, 10.0), place), samples=64), panel, way)

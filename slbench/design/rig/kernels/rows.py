@@ -33,7 +33,7 @@ EDGE_RAY, EDGE_COLUMN = 0.25, 0.75
 #: thousand pixels.
 _HAIR = 1e-9
 #: Steps at most, and panel pixels within which a column is met: some roundings of a coordinate.
-_SECANTS, _MET = 30, 1e-11
+_STEPS, _MET = 30, 1e-11
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -263,29 +263,51 @@ def _camera_ray(point, optics):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _curved_column_error(point, ray, column, lens):  # type: ignore[no-untyped-def]
-    """Distance along the camera's ray to where it meets a panel column, by secants.
+    """Distance along the camera's ray to where it meets a panel column, by Newton's method.
 
     A ray nearly in the column's surface meets it far away, if the lens sees it there at all: where
-    the secants leave the projector's field, or come to no end, the distance is that to first order.
+    the steps leave the projector's field, or come to no end, the distance is that to first order.
     """
-    t, t_next = 0.0, 1e-3
-    f = _project(point[0], point[1], point[2], lens)[0] - column
-    first, slope = f, 0.0
-    for k in range(_SECANTS):
-        x, y, z = (
-            point[0] + t_next * ray[0],
-            point[1] + t_next * ray[1],
-            point[2] + t_next * ray[2],
-        )
-        f_next = _project(x, y, z, lens)[0] - column
+    t, first = 0.0, np.nan
+    for k in range(_STEPS):
+        x, y, z = point[0] + t * ray[0], point[1] + t * ray[1], point[2] + t * ray[2]
+        u, slope = _column_along(x, y, z, ray, lens)
+        miss = u - column
         if k == 0:
-            slope = (f_next - f) / t_next
-        if abs(f_next) < _MET:
-            return abs(t_next)
-        if not abs(f_next - f) > 0.0:
+            first = abs(miss / slope)
+        if abs(miss) < _MET:
+            return abs(t)
+        if not abs(slope) > 0.0:
             break
-        t, t_next, f = t_next, t_next - f_next * (t_next - t) / (f_next - f), f_next
-    return abs(first / slope)
+        t -= miss / slope
+    return first
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _column_along(x, y, z, ray, lens):  # type: ignore[no-untyped-def]
+    """Panel column of a world point, as of :func:`_project`, and its derivative along a ray."""
+    rotation, origin, telecentric, (coefficients, fold2), tilt, pixel = lens
+    dx, dy, dz = x - origin[0], y - origin[1], z - origin[2]
+    depth = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2] * dz
+    deeper = rotation[0, 2] * ray[0] + rotation[1, 2] * ray[1] + rotation[2, 2] * ray[2]
+    if not depth > 0.0:
+        return np.nan, np.nan
+    if telecentric > 0.0:
+        depth, deeper = telecentric, 0.0
+    p = (rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz) / depth
+    q = (rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / depth
+    if p * p + q * q >= fold2:
+        return np.nan, np.nan
+    across = rotation[0, 0] * ray[0] + rotation[1, 0] * ray[1] + rotation[2, 0] * ray[2]
+    down = rotation[0, 1] * ray[0] + rotation[1, 1] * ray[1] + rotation[2, 1] * ray[2]
+    across, down = (across - p * deeper) / depth, (down - q * deeper) / depth
+    s, t, a, b, c, d = distorted(p, q, coefficients)
+    across, down = a * across + b * down, c * across + d * down
+    w = tilt[2, 0] * s + tilt[2, 1] * t + tilt[2, 2]
+    u = (tilt[0, 0] * s + tilt[0, 1] * t + tilt[0, 2]) / w
+    turned = tilt[2, 0] * across + tilt[2, 1] * down
+    slope = (tilt[0, 0] * across + tilt[0, 1] * down - u * turned) / w
+    return u * pixel[0] + pixel[2], slope * pixel[0]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
