@@ -73,7 +73,7 @@ class Optics(NamedTuple):
 #: NumPy's arithmetic: where a denominator vanishes, what is beyond the fold is infinite.
 distorted = njit(cache=True, nogil=True, error_model="numpy")(formulas.distorted)
 #: The same in the place of the call, where that is measurably faster.
-_distorted_here = njit(nogil=True, error_model="numpy", inline="always")(formulas.distorted)
+distorted_here = njit(nogil=True, error_model="numpy", inline="always")(formulas.distorted)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -167,7 +167,7 @@ def projected(optics, point):  # type: ignore[no-untyped-def]
     if optics.distorted:
         if x * x + y * y >= optics.fold2:
             x = y = np.nan
-        x, y, a, b, c, d = _distorted_here(x, y, optics.distortion)
+        x, y, a, b, c, d = distorted_here(x, y, optics.distortion)
     if optics.tilted:
         x, y, e, f, g, h = mapped(x, y, optics.tilt)
         a, b, c, d = e * a + f * c, e * b + f * d, g * a + h * c, g * b + h * d

@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from slbench.rig.kernels import distorted
+from slbench.rig.kernels import distorted_here
 
 #: In place of a number of coded axes: one axis, reconstructed as the thesis's table 5 must have
 #: been, from a ray and a place of the column that are not the pixels' centres, px.
@@ -227,7 +227,7 @@ def _project(x, y, z, lens):  # type: ignore[no-untyped-def]
     q = (rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz) / depth
     if p * p + q * q >= fold2:
         return np.nan, np.nan
-    s, t = distorted(p, q, coefficients)[:2]
+    s, t = distorted_here(p, q, coefficients)[:2]
     w = tilt[2, 0] * s + tilt[2, 1] * t + tilt[2, 2]
     u = (tilt[0, 0] * s + tilt[0, 1] * t + tilt[0, 2]) / w
     v = (tilt[1, 0] * s + tilt[1, 1] * t + tilt[1, 2]) / w
@@ -301,7 +301,7 @@ def _column_along(x, y, z, ray, lens):  # type: ignore[no-untyped-def]
     across = rotation[0, 0] * ray[0] + rotation[1, 0] * ray[1] + rotation[2, 0] * ray[2]
     down = rotation[0, 1] * ray[0] + rotation[1, 1] * ray[1] + rotation[2, 1] * ray[2]
     across, down = (across - p * deeper) / depth, (down - q * deeper) / depth
-    s, t, a, b, c, d = distorted(p, q, coefficients)
+    s, t, a, b, c, d = distorted_here(p, q, coefficients)
     across, down = a * across + b * down, c * across + d * down
     w = tilt[2, 0] * s + tilt[2, 1] * t + tilt[2, 2]
     u = (tilt[0, 0] * s + tilt[0, 1] * t + tilt[0, 2]) / w
