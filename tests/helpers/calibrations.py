@@ -10,6 +10,10 @@ K_CAMERA = np.array([[2010.5, 0.0, 640.25], [0.0, 2015.0, 505.5], [0.0, 0.0, 1.0
 K_PROJECTOR = np.array([[1820.0, 0.0, 598.0], [0.0, 1815.5, 790.75], [0.0, 0.0, 1.0]])
 DIST_CAMERA = np.array([-0.11, 0.2, 0.001, -0.0007, -0.3])
 DIST_PROJECTOR = np.array([0.03, -0.1, -0.0005, 0.0012, 0.02])
+#: The same lenses by all that OpenCV has: rational, with a thin prism, on a tilted panel.
+_RATIONAL, _PRISM = (0.2, -0.15, 0.4), (1e-3, -2e-3, -5e-4, 3e-3)
+FULL_CAMERA = np.array([*DIST_CAMERA, *_RATIONAL, *_PRISM, 0.02, -0.01])
+FULL_PROJECTOR = np.array([*DIST_PROJECTOR, *_RATIONAL[::-1], *_PRISM[::-1], -0.03, 0.01])
 SIZE_CAMERA, SIZE_PROJECTOR = (1280, 1024), (1280, 800)
 TURN = np.array([0.05, -0.3, 0.04])
 R = cv2.Rodrigues(TURN)[0]

@@ -173,6 +173,7 @@ def test_everything_that_can_be_said_is_heard(tmp_path):
         "seed": 9,
     }
     values["projector"] |= {"flux_w": 2.5, "bit_depth": 0, "gamma": 2.2, "aperture_radius_mm": 4.0}
+    values["projector"]["distortion"] = [0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6]  # rational
     del values["projector"]["f_number"]
     values["light"] = {"ambient_w_per_m2": 3.0, "bounces": 2}
     values["exposure"] = {"time_ms": 12.5, "white_level": 0.5, "vibration_px": 0.1}
@@ -203,6 +204,7 @@ def test_everything_that_can_be_said_is_heard(tmp_path):
     assert scene.detector == Detector(12, 9000.0, 7.0, 1.0, 0.6, 460.0, 0.01, 3.0, 17.0, 2.5, 9)
     assert (projector.flux_w, projector.bit_depth, projector.gamma) == (2.5, None, 2.2)
     assert projector.lens.aperture_radius_mm == 4.0
+    assert projector.distortion == (0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6)
     assert scene.light == Light(3.0 * 1e-6, 2)  # W/m^2 in W/mm^2
     assert scene.exposure == Exposure(0.0125, 0.5, 0.1)
     assert scene.sequence == PatternSequence.parse("gray+16@8", (640, 480), 4, "uv")

@@ -10,6 +10,8 @@ import yaml
 from calibrations import (
     DIST_CAMERA,
     DIST_PROJECTOR,
+    FULL_CAMERA,
+    FULL_PROJECTOR,
     K_CAMERA,
     K_PROJECTOR,
     SIZE_CAMERA,
@@ -18,6 +20,7 @@ from calibrations import (
     R,
     T,
     assert_projects,
+    pixels,
     storage,
 )
 from scipy.io import savemat
@@ -47,6 +50,16 @@ def test_the_sample_of_opencv_writes_two_files(tmp_path):
         assert rig_entries(files, ALL).format == "opencv"
     with pytest.raises(InputError, match=r"R: expected this entry, or a second file with it"):
         read_rig(inner, stated=ALL)
+
+
+@pytest.mark.parametrize("count", [8, 12, 14])
+def test_the_sample_of_opencv_is_rational_by_default(tmp_path, count):
+    dists = FULL_CAMERA[:count], FULL_PROJECTOR[:count]
+    inner = storage(
+        tmp_path / "intrinsics.yml", M1=K_CAMERA, D1=dists[0], M2=K_PROJECTOR, D2=dists[1]
+    )
+    outer = storage(tmp_path / "extrinsics.yml", R=R, T=T)
+    assert_projects(read_rig((inner, outer), stated=ALL), pixels(*dists))
 
 
 @pytest.mark.parametrize(

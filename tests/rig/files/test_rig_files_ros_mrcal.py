@@ -7,6 +7,8 @@ import yaml
 from calibrations import (
     DIST_CAMERA,
     DIST_PROJECTOR,
+    FULL_CAMERA,
+    FULL_PROJECTOR,
     K_CAMERA,
     K_PROJECTOR,
     POINTS,
@@ -53,6 +55,16 @@ def infos(tmp_path):
         info(tmp_path / "left.yaml", "camera", K_CAMERA, DIST_CAMERA, SIZE_CAMERA),
         info(tmp_path / "right.yaml", "projector", K_PROJECTOR, DIST_PROJECTOR, SIZE_PROJECTOR),
     ]
+
+
+def test_a_rational_polynomial(infos, tmp_path):
+    motion = storage(tmp_path / "motion.yml", R=R, T=T / 1e3)
+    dists, names = (FULL_CAMERA[:8], FULL_PROJECTOR[:8]), ("camera", "projector")
+    for path, name, k, dist, size in zip(
+        infos, names, (K_CAMERA, K_PROJECTOR), dists, (SIZE_CAMERA, SIZE_PROJECTOR), strict=True
+    ):
+        info(path, name, k, dist, size, model="rational_polynomial")
+    assert_projects(read_rig([*infos, motion]), pixels(*dists))
 
 
 def test_a_third_file_states_the_motion_in_metres(infos, tmp_path):
@@ -136,7 +148,7 @@ REFERENCE = (np.array([0.2, -0.1, 0.4]), np.array([30.0, -20.0, 500.0]))
 
 
 def models(folder, n=5):
-    cases = ((K_CAMERA, DIST_CAMERA, SIZE_CAMERA), (K_PROJECTOR, DIST_PROJECTOR, SIZE_PROJECTOR))
+    cases = ((K_CAMERA, FULL_CAMERA, SIZE_CAMERA), (K_PROJECTOR, FULL_PROJECTOR, SIZE_PROJECTOR))
     turn, offset = REFERENCE
     first = cv2.Rodrigues(turn)[0]
     poses = ((turn, offset), (cv2.Rodrigues(R @ first)[0].ravel(), R @ offset + T))
@@ -150,9 +162,9 @@ def models(folder, n=5):
     return files
 
 
-@pytest.mark.parametrize("n", [0, 4, 5])
+@pytest.mark.parametrize("n", [0, 4, 5, 8, 12])
 def test_mrcal(n, tmp_path):
-    expected = pixels(DIST_CAMERA[:n] if n else None, DIST_PROJECTOR[:n] if n else None)
+    expected = pixels(FULL_CAMERA[:n] if n else None, FULL_PROJECTOR[:n] if n else None)
     files = models(tmp_path, n)
     assert_projects(read_rig(files, stated=ORDER), expected)
     assert rig_entries(files, ORDER).format == "mrcal"
