@@ -375,10 +375,13 @@ class Device(Value):
         return self.pose.to_world(box_corners((-x / 2, -y / 2, -z), (x / 2, y / 2, 0.0)))
 
     def relative_illumination(self, pixels: ArrayLike) -> Array:
-        """Return the lens's fall-off at pixels (..., 2): cos^4 of the field angle, or 1."""
+        """Return the lens's fall-off at pixels (..., 2): cos^4 of the field angle, or 1.
+
+        NaN where pixels see nothing: beyond the fold of the distortion.
+        """
         xy = self.normalise(pixels)
         if self.lens.kind == "telecentric" or not self.lens.natural_vignetting:
-            return np.ones(xy.shape[:-1])
+            return np.where(np.isnan(xy[..., 0]), np.nan, 1.0)
         return (1.0 + np.sum(xy * xy, axis=-1)) ** -2
 
 

@@ -465,3 +465,34 @@ def test_light_and_truth_end_at_the_fold(kind):
     # A pixel is 12 mm wide there, 0.04 of the distance.
     assert not np.any(light[radius > fold + 0.04])
     assert np.all(light[truth.lit & (radius < fold - 0.04)])
+
+
+def test_nothing_comes_round_a_pole():
+    """Beyond the pole of a rational lens the formula's pixels are on the panel again."""
+    down = np.diag([1.0, -1.0, -1.0])
+    pose = Pose(down, np.array([0.0, 0.0, 300.0]))
+    folding = Projector(
+        *(80, 60, (0.02, 0.02), Lens(1.0, 0.0, 300.0)),
+        distortion=(0.0,) * 5 + (-1.0, 0.0, 0.0),
+        pose=pose,
+    )
+    wide = Camera(60, 60, (0.08, 0.08), Lens(1.0, 0.0, 300.0), pose=pose)
+    view = scene(Rig(wide, folding), plate((1500.0, 1500.0)))
+    truth, light = ground_truth(view), trace(view).white()
+    radius = np.linalg.norm(truth.point[..., :2], axis=-1) / 300.0
+    ghost = radius / (radius**2 - 1.0)
+    assert np.any((radius > 1.0) & (ghost < 0.5))
+    assert not truth.lit[radius >= 1.0].any()
+    assert not light[radius >= 1.0].any()
+    assert light[radius < 0.4].all()
+
+
+@pytest.mark.parametrize("vignetting", [True, False])
+def test_a_camera_sees_nothing_beyond_its_fold(vignetting):
+    rig = make_rig()
+    lens = Lens(16.0, natural_vignetting=vignetting)
+    bent = Camera(*SIZE, (0.25, 0.25), lens, None, (-0.9, 0.0, 0.0, 0.0, 0.0), pose=rig.camera.pose)
+    lost = np.isnan(bent.normalise(bent.pixel_grid())[..., 0])
+    assert 0.1 < lost.mean() < 0.9
+    view = scene(Rig(bent, rig.projector), plate((3000.0, 3000.0)))
+    assert not trace(view).white()[lost].any()

@@ -114,6 +114,25 @@ class TestPanelOptics:
         # Single precision through the plane in focus and back.
         np.testing.assert_allclose(columns(reached), pixels, atol=2e-3)
 
+    @pytest.mark.parametrize(
+        "distortion",
+        [
+            (0.0, -0.5, 0.0, 0.0, 0.0, -0.5, 0.0, 0.0),  # flat half way, steep at the pole
+            (-0.45, 0.99, 0.01, 0.0, 0.64),
+            (0.0, 0.0, 0.0, 0.0, 0.0, -0.3, 0.0, 0.0),
+        ],
+    )
+    def test_lenses_that_bend_both_ways(self, distortion):
+        """Wide ones, whose undistortion takes more steps, and shorter ones."""
+        device = Camera(200, 200, (0.016, 0.016), Lens(1.6), distortion=distortion)
+        pixels = uniform(10, N, 2) * 200 - 0.5
+        _, directions = device.unproject(pixels.astype(np.float32))
+        seen = np.isfinite(directions[:, 0])
+        _, direction = PanelOptics(device).ray(as_point(pixels.astype(np.float32)), mi.Point2f(0.0))
+        assert seen.mean() > 0.5
+        # Single precision of coordinates of some units, through the inverse's slope.
+        np.testing.assert_allclose(columns(direction)[seen], directions[seen], atol=1e-5)
+
     @pytest.mark.parametrize("name", ["aperture", "telecentric", "tilted"])
     def test_all_rays_of_a_pixel_meet_in_the_plane_in_focus(self, name):
         device = DEVICES[name]

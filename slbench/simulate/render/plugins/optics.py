@@ -25,15 +25,15 @@ import numpy as np
 
 from slbench.rig import Device, Lens
 from slbench.rig.coefficients import COEFFICIENTS, distorted
-from slbench.rig.distortion import fold_radius
+from slbench.rig.distortion import distort, fold_radius
 from slbench.rig.spread import RING_SOFTENING
 from slbench.simulate.render.mitsuba import dr, mi
 
-#: Newton steps of the undistortion: quadratic convergence reaches single precision in fewer
-#: than six for every lens that can be inverted at all.
-_NEWTON_STEPS = 6
-#: The same for rational lenses, which may bend both ways.
-_RATIONAL_STEPS = 12
+#: Newton steps of the undistortion, which is quadratic: few do for ordinary lenses, those that bend
+#: both ways within the field take as many as twice that.  Two numbers, so that kernels are reused.
+_FEW_STEPS, _MANY_STEPS = 6, 12
+#: Places along a panel's sides where it is seen which, and what a ray may miss there.
+_PLACES, _MISS = 33, 1e-6
 #: The least determinant of a Jacobian that a step divides by.
 _LEAST_DETERMINANT = 1e-6
 
@@ -63,6 +63,7 @@ class PanelOptics:
         self.focus_distance = opaque(lens.focus_distance_mm)
         self.aperture = opaque(lens.defocusing_radius_mm) if lens.defocusing_radius_mm > 0 else None
         self.distortion = [opaque(k) for k in device.distortion] if any(device.distortion) else None
+        self.steps = _newton_steps(device) if any(device.distortion) else 0
         fold = fold_radius(device.distortion)
         self.fold = opaque(fold) if np.isfinite(fold) else None
         self.aspect = opaque(device.pitch_mm[0] / device.pitch_mm[1])
@@ -104,8 +105,7 @@ class PanelOptics:
         """Invert distortion as :func:`slbench.rig.kernels.undistorted` does, without branches."""
         xy = mi.Point2f(target)
         best, least = mi.Point2f(0.0), dr.maximum(dr.abs(target.x), dr.abs(target.y))
-        plain = len(self.device.distortion) == 5
-        for _ in range(_NEWTON_STEPS if plain else _RATIONAL_STEPS):
+        for _ in range(self.steps):
             if self.fold is not None:
                 far = dr.squared_norm(xy) >= dr.square(self.fold)
                 half_way = 0.5 * (dr.norm(best) + self.fold) * dr.rsqrt(dr.squared_norm(xy))
@@ -310,6 +310,25 @@ def _homography(xy: mi.Point2f, h: Sequence[Any]) -> mi.Point2f:
     return mi.Point2f(
         (h[0] * xy.x + h[1] * xy.y + h[2]) * w, (h[3] * xy.x + h[4] * xy.y + h[5]) * w
     )
+
+
+def _newton_steps(device: Device) -> int:
+    """Return how many steps of the undistortion reach single precision all over a panel."""
+    sides = (np.linspace(-0.5, size - 0.5, _PLACES) for size in (device.width, device.height))
+    exact = device.normalise(np.stack(np.meshgrid(*sides), axis=-1))
+    exact = exact[np.isfinite(exact[..., 0])]
+    target_x, target_y = distort(exact, device.distortion)[0].T
+    x, y = target_x, target_y
+    with np.errstate(all="ignore"):
+        for _ in range(_FEW_STEPS):
+            at_x, at_y, a, b, c, d = distorted(x, y, device.distortion)
+            by_x, by_y = at_x - target_x, at_y - target_y
+            determinant = a * d - b * c
+            x = x - (d * by_x - b * by_y) / determinant
+            y = y - (a * by_y - c * by_x) / determinant
+        missed = np.abs(np.column_stack((x, y)) - exact) > _MISS * (1.0 + np.abs(exact))
+        few = np.isfinite(x).all() and not missed.any()
+    return _FEW_STEPS if few else _MANY_STEPS
 
 
 def device_to_world(props: mi.Properties) -> mi.AffineTransform4f:
