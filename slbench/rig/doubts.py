@@ -136,7 +136,7 @@ def fold_doubt(device: Device) -> str | None:
         return None
     fold = fold_radius(device.distortion)
     return (
-        f"the polynomial folds at {fold:.3g} of the distance from the axis, so that "
+        f"the lens's model folds at {fold:.3g} of the distance from the axis, so that "
         f"{max(1, round(100 * lost))} % of the pixels see nothing: a calibration whose points did "
         "not reach the corners?"
     )

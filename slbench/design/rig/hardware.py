@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slbench.core import resources
-from slbench.core.errors import InputError, located
+from slbench.core.errors import InputError, located, warn_user
 from slbench.core.io import read_table
 from slbench.core.show.display import brief
 from slbench.core.validation.tables import Parameters
@@ -347,6 +347,11 @@ def load_hardware(
     ------
     InputError
         Naming the file and key of the first thing that cannot be used.
+
+    Warns
+    -----
+    InputWarning
+        If a lens is shifted so far that its axis leaves the panel.
     """
     path = resources.find("scenes", name_or_path)
     made = read_changes(changes)
@@ -354,7 +359,14 @@ def load_hardware(
     if "design" not in content:
         raise InputError(f"{path.name}: design", "a table of working distances and ranges", "none")
     with naming_changes(path.name, made):
-        return _hardware(content, path)
+        hardware = _hardware(content, path)
+    for name, device in (("camera", hardware.camera), ("projector", hardware.projector)):
+        if not device.contains(device.centre):
+            u, v = device.centre
+            beside = f"({u:.4g}, {v:.4g}) is beside {device.width} x {device.height} px"
+            why = "a design turns the optical axis to the volume, of which this panel sees a part"
+            warn_user(f"{path.name}: {name}.principal_point_px", f"{beside}; {why} or nothing")
+    return hardware
 
 
 def _hardware(content: Mapping[str, Any], path: Path) -> Hardware:

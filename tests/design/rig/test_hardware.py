@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slbench.core import resources
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
 from slbench.design.rig.hardware import (
     VARIABLES,
     as_configurations,
@@ -246,3 +246,9 @@ def test_they_belong_to_these_optics_panels_bodies_and_volume(tmp_path, table, s
     path = tmp_path / "hardware.toml"
     path.write_text(f'extends = "hardware/macro-ch6"\n{table}\n')
     assert (thesis_configurations(load_hardware(path)) is not None) == same
+
+
+def test_an_axis_beside_the_panel_is_said():
+    changes = ["projector.principal_point_px=[320.0, 535.0]"]
+    with pytest.warns(InputWarning, match=r"projector\.principal_point_px: \(320, 535\) is beside"):
+        load_hardware("hardware/macro-ch6", changes=changes)
