@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.calibration.models.height_table import HeightTable
 from slbench.calibration.models.model import CalibrationModel
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import InputError
@@ -82,3 +83,41 @@ def measure(model: CalibrationModel, phase: PhaseMap) -> CalibratedCloud:
         found.points, pixels, mask.shape, axes, sigma, found.sensitivity, calibration_mm2=own
     )
     return CalibratedCloud(cloud, ~found.inside)
+
+
+def measure_by_table(table: HeightTable, phase: PhaseMap) -> CalibratedCloud:
+    """Turn every decoded pixel that a table answers at into a point.
+
+    Parameters
+    ----------
+    table : HeightTable
+    phase : PhaseMap
+        Panel coordinates of the camera that the table was made for.
+
+    Raises
+    ------
+    InputError
+        If the table's axis is not coded, or the pictures are of another size.
+    """
+    axis = table.axis
+    if axis not in phase.coordinate:
+        raise InputError("capture", f"panel axis {axis} coded", "".join(phase.coordinate))
+    if table.known.shape != phase.mask.shape:
+        (rows, columns), (v, u) = table.known.shape, phase.mask.shape
+        raise InputError("capture", f"{columns} x {rows} px, the table's", f"{u} x {v} px")
+    height, slope = table.heights(phase.coordinate[axis])
+    mask = phase.mask & np.isfinite(height)
+    pixels = np.empty((np.count_nonzero(mask), 2), dtype=np.int32)
+    pixels[:, 1], pixels[:, 0] = np.nonzero(mask)
+    z, (x0, kx, y0, ky) = height[mask], table.lines[mask].T
+    along = np.stack((kx, ky, np.ones(len(z))), axis=-1)  # of the ray, a mm of height
+    cloud = PointCloud(
+        np.stack((x0 + kx * z, y0 + ky * z, z), axis=-1),
+        pixels,
+        mask.shape,
+        (axis,),
+        phase.sigma[axis][mask][:, None],
+        (slope[mask][:, None] * along)[:, None, :],
+        calibration_mm2=table.sd_mm[mask][:, None, None] ** 2 * along[:, :, None] * along[:, None],
+    )
+    return CalibratedCloud(cloud, ~table.inside(z))

@@ -142,6 +142,9 @@ GIVEN = {
     "extrinsics.yml": lambda path: storage(path, R=R, T=T),
     "points.csv": lambda path: shutil.copy(ROOT / "results" / "calibration" / "points.csv", path),
     "few.csv": few_rigs,
+    "heights.csv": lambda path: write_table(
+        path, ("z_mm",), [(z,) for z in (-8.0, -4.0, 0.0, 4.0, 8.0)]
+    ),
     "noise.csv": noise_table,
     "accuracy.claims.toml": claims,
     "mine.py": own_codes,

@@ -9,6 +9,7 @@ group = Group(
         "Commands": {
             "board": "slbench.cli.calibrate.board:board",
             "points": "slbench.cli.calibrate.points:points",
+            "planes": "slbench.cli.calibrate.planes:planes",
             "fit": "slbench.cli.calibrate.fit:fit",
             "apply": "slbench.cli.calibrate.apply:apply",
             "run": "slbench.cli.calibrate.run:run",

@@ -14,7 +14,9 @@ from slbench.core.errors import InputError, warn_user
 
 @command("slbench calibrate apply model.json out/coin --out cloud.ply")
 def apply(
-    model: Annotated[Path, typer.Argument(help="Model that `calibrate fit` wrote.")],
+    model: Annotated[
+        Path, typer.Argument(help="Model that `calibrate fit` wrote, or table of `planes`.")
+    ],
     capture: Annotated[
         Path, typer.Argument(help="A folder of frames with a capture.toml beside them.")
     ],
@@ -27,20 +29,26 @@ def apply(
     allow_outside: AllowOutside = False,
     as_json: Json = False,
 ) -> None:
-    """Decode frames; turn every pixel into a point by a model."""
+    """Decode frames; turn every pixel into a point by a model or a table."""
     import numpy as np
 
-    from slbench.calibration.apply import measure
+    from slbench.calibration.apply import measure, measure_by_table
     from slbench.calibration.doubts import resolution_doubt
+    from slbench.calibration.models.height_table import HeightTable, is_height_table
     from slbench.calibration.models.model import CalibrationModel
     from slbench.capture.capture import Capture
     from slbench.core.io import check_output_file, write_ply
 
     check_output_file(out, (".ply",))
-    calibration = CalibrationModel.load(model)
+    table = HeightTable.load(model) if is_height_table(model) else None
+    calibration = None if table else CalibrationModel.load(model)
     shots = Capture.load(capture, allow_modules=allow_modules, allow_outside=allow_outside)
     phase = shots.decode(min_modulation=min_modulation)
-    measured = measure(calibration, phase)
+    if calibration is not None:
+        measured = measure(calibration, phase)
+    else:
+        assert table is not None  # one of both is read
+        measured = measure_by_table(table, phase)
     outside = int(np.count_nonzero(measured.extrapolated))
     decoded = len(measured.cloud)
     if inside_only:
@@ -51,7 +59,7 @@ def apply(
         raise InputError(capture, expected, f"none of {decoded}" if decoded else "none")
     if 2 * outside > decoded:
         share = f"{outside} of {decoded} pixels are outside the model's domain"
-        why = resolution_doubt(calibration, phase.mask.shape)
+        why = calibration and resolution_doubt(calibration, phase.mask.shape)
         warn_user(capture, f"{share}: {why or 'another camera, or a larger object?'}")
     sigma, unsure = measured.cloud.sigma_total_mm, measured.cloud.u_total_mm
     outer = measured.extrapolated.astype(np.float64)

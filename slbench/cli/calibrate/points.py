@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
+from slbench.cli.calibrate.folders import placed
 from slbench.cli.common import AllowModules, AllowOutside, Json, Weights, print_json, progress
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError, warn_user
@@ -56,8 +56,7 @@ def points(
 
     from slbench.calibration.models.points import PIXELS
     from slbench.calibration.target.stage import POSITIONS, stage_folders
-    from slbench.core.io import check_output_file, read_table
-    from slbench.core.natural import natural
+    from slbench.core.io import check_output_file
     from slbench.objects import load_artefact
     from slbench.rig.opencv import read_rig
 
@@ -65,14 +64,7 @@ def points(
     artefact = load_artefact(target)
     if artefact.targets is None or "dots" not in artefact.parts:
         raise InputError("--target", "a plate with a grid of dots", artefact.name)
-    ordered = sorted(folders, key=lambda folder: natural(str(folder)))
-    for before, after in pairwise(ordered):
-        if before == after:
-            raise InputError("folders", "each capture once", f"{after} twice")
-    places = read_table(positions, POSITIONS)
-    if len(places) != len(ordered):
-        expected = f"{len(ordered)} rows, one for each folder"
-        raise InputError(f"--positions: {positions}", expected, f"{len(places)}")
+    ordered, places = placed(folders, positions, POSITIONS, "--positions")
     known = None if rig is None else read_rig(rig)
     with progress(as_json) as report:
         found, refused = stage_folders(
