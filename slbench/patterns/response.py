@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.io import read_table, write_table
-from slbench.core.validation.types import Positive
+from slbench.core.validation.types import Finite, Positive
 from slbench.core.validation.values import Value
 
 Array = NDArray[np.float64]
@@ -54,7 +54,7 @@ class Response(Value):
     """
 
     gamma: Positive = 1.0
-    curve: tuple[tuple[float, float], ...] | None = None
+    curve: tuple[tuple[Finite, Finite], ...] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

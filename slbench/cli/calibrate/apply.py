@@ -29,7 +29,7 @@ def apply(
     allow_outside: AllowOutside = False,
     as_json: Json = False,
 ) -> None:
-    """Decode frames; turn every pixel into a point by a model or a table."""
+    """Decode frames; turn every pixel into a point."""
     import numpy as np
 
     from slbench.calibration.apply import measure, measure_by_table

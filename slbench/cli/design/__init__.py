@@ -4,7 +4,7 @@ from slbench.cli.lazy import Group
 
 group = Group(
     "design",
-    "Design of structured-light systems: rigs and pattern sequences.",
+    "Design rigs and pattern sequences.",
     {
         "Rigs": {
             "rig": "slbench.cli.design.rig:rig",

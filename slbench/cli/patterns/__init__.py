@@ -4,7 +4,7 @@ from slbench.cli.lazy import Group
 
 group = Group(
     "patterns",
-    "Pattern sets: what there is, and pictures for a real projector.",
+    "Pattern sets, and their pictures for a projector.",
     {
         "Commands": {
             "list": "slbench.cli.patterns.list:list_patterns",

@@ -25,6 +25,7 @@ from slbench.objects import load_artefact
 from slbench.patterns import Fringes, NoiseModel, PatternSequence, pattern_codes
 from slbench.patterns.given import PatternsTable
 from slbench.patterns.images import Images
+from slbench.patterns.response import Response
 from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
@@ -65,6 +66,7 @@ VALUES = [
     DesignVariables(100.0, 50.0, 0.0, 5.0, 0.1, 0.0),
     Detector(),
     NoiseModel(),
+    Response(2.2),
     FreeBoard(kind="chequerboard", columns=9, rows=7, pitch_mm=20.0),
     *CODES,
     SEQUENCE,
