@@ -60,9 +60,7 @@ def decode_sets(
     n_pixels, n_sets = pixels.shape[1], len(placed)
     reference = reference_sigma = np.empty(0)
     if way.name == "gray" and coarser is not None:
-        reference = coarser.coordinate + 0.5
-        reference *= 2.0 * pi
-        reference /= size
+        reference = coarser.coordinate
         reference_sigma = coarser.sigma
         if reference_sigma.strides == (0,):  # one for all
             reference_sigma = reference_sigma[:1]

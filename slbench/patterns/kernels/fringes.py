@@ -17,8 +17,8 @@ END_SIGMAS = 3.0
 
 TWO_PI = 2.0 * math.pi
 ROOT_3 = math.sqrt(3.0)
-# Faults are counted by rule in one number, exact up to 2^53: less than 2^10 of each.
-_SATURATED, _DIM, _COARSE, _ORDER, _END = 1.0, 2.0**10, 2.0**20, 2.0**30, 2.0**40
+# Faults of a pixel, a bit each; what is first is the cause of those that follow.
+_SATURATED, _DIM, _COARSE, _ORDER, _END = 1, 2, 4, 8, 16
 # Noise puts a pixel beyond the end of the panel by no more than this, finest fringes.
 _BEYOND = 0.25
 
@@ -138,8 +138,7 @@ def _unwrap(
         order = np.floor(exact + 0.5)
         off[i] = exact - order
         absolute[i] = TWO_PI * order + link[i]
-    for i in range(n):
-        faults[i] += 0.0 if abs(off[i]) <= limit + slack[i] else _ORDER
+        faults[i] |= 0 if abs(exact - order) <= limit + slack[i] else _ORDER
 
 
 @njit(fastmath=FAST, error_model="numpy", no_cpython_wrapper=True)
@@ -179,22 +178,18 @@ def _search(
             order[i] = k if better else order[i]
     for i in range(n):
         absolute[i] = phases[last, i] + TWO_PI * order[i]
-        faults[i] += 0.0 if (best[i] <= limit * limit) & (best[i] < np.inf) else _ORDER
+        faults[i] |= 0 if (best[i] <= limit * limit) & (best[i] < np.inf) else _ORDER
 
 
 @njit
 def _first_rule(faults: int) -> int:
-    """Return the first rule (1 to 5, 0 for none) of which faults were counted."""
-    # A pixel without light has a random order too: what comes first is the cause.
-    if faults & 0x3FF:
-        return 1
-    if faults & (0x3FF << 10):
-        return 2
-    if faults & (0x3FF << 20):
-        return 3
-    if faults & (0x3FF << 30):
-        return 4
-    return 5 if faults >> 40 else 0
+    """Return the number of the lowest bit that is set, from 1; 0 for none."""
+    if faults == 0:
+        return 0
+    rule = 1
+    while not faults & (1 << (rule - 1)):
+        rule += 1
+    return rule
 
 
 @njit(
@@ -297,7 +292,7 @@ def decode_fringes(
         Of the last set: pixels per radian, radians of the whole panel, whole panels per radian
         (zero where the panel is not closed).
     reference : (P,) float64
-        One-fringe phase from a coarser code that the first link is unwrapped from, or shape (0,)
+        Coordinate from a coarser code, px, that the first link is unwrapped from, or shape (0,)
         where it is absolute itself.
     reference_sigma : (P,) or (1,) float64
         Deviation of the coarser code's coordinate, px, as that of a uniform error; or shape (0,).
@@ -328,14 +323,18 @@ def decode_fringes(
     unsure = alone & (not closed) & (way == 0)  # a base phase may slip past an end
     keep = relative.shape[1] > 0
     keep_residual = residual.shape[1] > 0
+    to_pixels, whole, turns_per_radian = scale[0], scale[1], scale[2]
+    # A place beyond the panel is a wrong order, but a coarser code's own affair.
+    beyond = TWO_PI * _BEYOND * to_pixels if alone else np.inf
     alpha, beta, offset = noise[0], noise[1], noise[2]
     most, least_square, least_ratio, limit = limits[0], limits[1], limits[2], limits[3]
     # Rows of one array: the compiler knows that they do not overlap.
-    scratch = np.empty((9, BLOCK + PAD))
+    scratch = np.empty((10, BLOCK + PAD))
     total, cosine, sine = scratch[0], scratch[1], scratch[2]
-    phase, absolute, faults = scratch[3], scratch[4], scratch[5]
-    off, slack, spread = scratch[6], scratch[7], scratch[8]
+    square, variance, absolute = scratch[3], scratch[4], scratch[5]
+    off, slack, above, below = scratch[6], scratch[7], scratch[8], scratch[9]
     phases = np.empty((n_sets + 1, BLOCK + PAD))  # the last row is a beat's
+    faults = np.empty(BLOCK, np.int64)
     singles = np.full(n_links, -1)  # the set of a link that is no beat
     for t in range(n_links):
         used = 0.0
@@ -352,7 +351,10 @@ def decode_fringes(
         n = min(BLOCK, end - start)
         for i in range(n):
             flags[i] = flagged
-            spread[i] = 0.0
+        if unsure:
+            for i in range(n):
+                above[i] = 0.0
+                below[i] = 1.0
         for s in range(n_sets):
             first, shifts = sets[s, 0], sets[s, 1]
             looked = checked if s == 0 else checked[:0]
@@ -370,33 +372,32 @@ def decode_fringes(
                 _read(frames64, looked, most, first, shifts, row, start, scratch, flags, n)
             if s == 0:
                 for i in range(n):
-                    faults[i] = np.float64(flags[i])
+                    faults[i] = flags[i]
             to_square = 4.0 / (shifts * shifts)
             per_shift = 1.0 / shifts
             if tilts[s, 0] != 0.0 or tilts[s, 1] != 0.0:  # shifts that do not fill a turn
                 for i in range(n):
                     total[i] -= tilts[s, 0] * cosine[i] + tilts[s, 1] * sine[i]
+            phase = phases[s]
             for i in range(n):
                 phase[i] = angle(sine[i], cosine[i])
-            for i in range(n):
-                square = to_square * (cosine[i] * cosine[i] + sine[i] * sine[i])
-                variance = alpha + beta * max(per_shift * total[i] - offset, 0.0)
-                good = (square >= least_square) & (square >= least_ratio * variance)
-                faults[i] += 0.0 if good else _DIM
+                own = to_square * (cosine[i] * cosine[i] + sine[i] * sine[i])
+                noisy = alpha + beta * max(per_shift * total[i] - offset, 0.0)
+                good = (own >= least_square) & (own >= least_ratio * noisy)
+                faults[i] |= 0 if good else _DIM
+                square[i] = own
+                variance[i] = noisy
             if unsure and factors[0, s] != 0.0:
                 weight = factors[0, s] * factors[0, s] * 2.0 / shifts
-                for i in range(n):
-                    square = to_square * (cosine[i] * cosine[i] + sine[i] * sine[i])
-                    variance = alpha + beta * max(per_shift * total[i] - offset, 0.0)
-                    spread[i] += weight * variance / square
-            for i in range(n):
-                phases[s, i] = phase[i]
+                for i in range(n):  # a fraction is added: dividing takes longer than all of it
+                    above[i] = above[i] * square[i] + weight * variance[i] * below[i]
+                    below[i] *= square[i]
             if keep:
                 for i in range(n):
                     relative[s, start + i] = phase[i]
 
         for i in range(n):
-            absolute[i] = phase[i]
+            absolute[i] = phases[n_sets - 1, i]
         if way == 1:
             _search(phases, counts, closed, limit, absolute, faults, n)
         for t in range(n_links):
@@ -413,18 +414,14 @@ def decode_fringes(
                     link[i] -= TWO_PI * np.floor(link[i] / TWO_PI)
             if t == 0 and alone:
                 # Less than one fringe leaves a gap, in whose middle noise on either side is parted.
-                gap = 1.0 - links[0]
+                gap = (1.0 - links[0]) * math.pi
                 for i in range(n):
-                    absolute[i] = link[i]
-                if gap > 0.0:
-                    for i in range(n):
-                        beyond = link[i] > TWO_PI - gap * math.pi
-                        absolute[i] = link[i] - TWO_PI if beyond else link[i]
+                    absolute[i] = link[i] - TWO_PI if link[i] > TWO_PI - gap else link[i]
                 if unsure:
                     for i in range(n):
-                        end_distance = min(absolute[i], TWO_PI * links[0] - absolute[i])
-                        margin = END_SIGMAS * math.sqrt(spread[i]) - gap * math.pi
-                        faults[i] += 0.0 if end_distance >= margin else _END
+                        apart = min(absolute[i], TWO_PI * links[0] - absolute[i]) + gap
+                        sure = apart * apart * below[i] >= END_SIGMAS * END_SIGMAS * above[i]
+                        faults[i] |= 0 if sure & (apart >= 0.0) else _END
                 continue
             ratio = links[t]
             for i in range(n):
@@ -433,18 +430,18 @@ def decode_fringes(
                 ratio /= links[t - 1] if not compares[t] else counts[n_sets - 1]
             else:
                 for i in range(n):
-                    absolute[i] = reference[start + i]
+                    absolute[i] = (reference[start + i] + 0.5) * (TWO_PI / size)
                 one_for_all = reference_sigma.shape[0] == 1
                 for i in range(n):
                     # The coarse place is anywhere within its own cell, which tells fringes apart
                     # where it is no wider than one.
                     known = reference_sigma[0 if one_for_all else start + i]
                     slack[i] = ROOT_3 * known * ratio / size
-                    faults[i] += 0.0 if slack[i] <= 0.5 + 1e-9 else _COARSE
+                    faults[i] |= 0 if slack[i] <= 0.5 + 1e-9 else _COARSE
             if compares[t]:
                 for i in range(n):
-                    phase[i] = absolute[i]
-                _unwrap(link, ratio, limit, slack, phase, faults, off, n)
+                    above[i] = absolute[i]
+                _unwrap(link, ratio, limit, slack, above, faults, off, n)
             else:
                 _unwrap(link, ratio, limit, slack, absolute, faults, off, n)
             if keep_residual and singles[t] >= 0:
@@ -457,55 +454,37 @@ def decode_fringes(
                     exact = (ratio * absolute[i] - phases[s, i]) / TWO_PI
                     residual[s, start + i] = exact - np.floor(exact + 0.5)
 
-        shifts = sets[n_sets - 1, 1]
-        to_pixels, whole, turns_per_radian = scale[0], scale[1], scale[2]
-        for i in range(n):
-            # A phase past either end of the panel belongs to the other end (see decode).
-            turns = np.floor(absolute[i] * turns_per_radian)
-            absolute[i] = (absolute[i] - whole * turns) * to_pixels  # from the panel's edge
-            a = total[i] / shifts
-            radius = math.sqrt(cosine[i] * cosine[i] + sine[i] * sine[i])
-            phase[i] = alpha + beta * max(a - offset, 0.0)  # the noise's variance
-            sine[i] = 2.0 / shifts * radius
-            total[i] = a
         if harmonics.shape[0] == 1:  # three equal steps
             for i in range(n):
-                cos_phi = cosine[i] / (1.5 * sine[i])
-                phase[i] -= 0.5 * beta * sine[i] * (cos_phi * (4.0 * cos_phi * cos_phi - 3.0))
+                radius = math.sqrt(square[i])
+                cos_phi = cosine[i] / (1.5 * radius)
+                variance[i] -= 0.5 * beta * radius * (cos_phi * (4.0 * cos_phi * cos_phi - 3.0))
         elif harmonics.shape[0] > 1:
             h = harmonics
             for i in range(n):
                 c, s_ = math.cos(phases[n_sets - 1, i]), math.sin(phases[n_sets - 1, i])
                 quadratic = h[0] * c * c + h[1] * c * s_ + h[2] * s_ * s_
                 cubic = c * c * (h[3] * c + h[4] * s_) + s_ * s_ * (h[5] * c + h[6] * s_)
-                phase[i] = quadratic * phase[i] + cubic * beta * sine[i]
+                variance[i] = quadratic * variance[i] + cubic * beta * math.sqrt(square[i])
+        per_shift = 1.0 / sets[n_sets - 1, 1]
         for i in range(n):
-            phase[i] = math.sqrt(2.0 / shifts * max(phase[i], 0.0)) / sine[i] * to_pixels
-        if closed:
-            for i in range(n):
-                margin = END_SIGMAS * phase[i]
-                within = (absolute[i] >= margin) & (size - absolute[i] >= margin)
-                faults[i] += 0.0 if within & (sine[i] < np.inf) else _END
-        else:
-            # A place beyond the panel is a wrong order, but a coarser code's own affair.
-            beyond = TWO_PI * _BEYOND * to_pixels if alone else np.inf
-            for i in range(n):
-                within = (absolute[i] >= -beyond) & (absolute[i] <= size + beyond)
-                faults[i] += 0.0 if within & (sine[i] < np.inf) else _END
-        # An output a loop: more of them, and the compiler would give up telling them apart.
+            # A phase past either end of the panel belongs to the other end (see decode).
+            turns = np.floor(absolute[i] * turns_per_radian)
+            place = (absolute[i] - whole * turns) * to_pixels  # from the panel's edge
+            deviation = to_pixels * math.sqrt(2.0 * per_shift * max(variance[i], 0.0) / square[i])
+            near = END_SIGMAS * deviation if closed else -beyond
+            within = (place >= near) & (place <= size - near) & (square[i] < np.inf)
+            fault = faults[i] | (0 if within else _END)
+            faults[i] = fault
+            coordinate[start + i] = place - 0.5 if fault == 0 else np.nan
+            sigma[start + i] = deviation if fault == 0 else np.nan
         for i in range(n):
-            coordinate[start + i] = absolute[i] - 0.5 if faults[i] == 0.0 else np.nan
-        for i in range(n):
-            sigma[start + i] = phase[i] if faults[i] == 0.0 else np.nan
-        for i in range(n):
-            modulation[start + i] = sine[i]
-        for i in range(n):
-            mean[start + i] = total[i]
-        for i in range(n):
-            mask[start + i] = faults[i] == 0.0
+            modulation[start + i] = math.sqrt(square[i])
+            mean[start + i] = per_shift * total[i]
+            mask[start + i] = faults[i] == 0
         if dropped.shape[0] > 0:
             for i in range(n):
-                dropped[start + i] = _first_rule(np.int64(faults[i]))
+                dropped[start + i] = _first_rule(faults[i])
 
 
 @njit(fastmath=FAST, error_model="numpy", no_cpython_wrapper=True)
