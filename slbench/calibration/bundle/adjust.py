@@ -41,6 +41,8 @@ Mask = NDArray[np.bool_]
 
 #: Scale of Cauchy's loss, in deviations.
 _CAUCHY = 3.0
+#: Evaluations of an adjustment after which it is not going to come to rest.
+_MOST_STEPS = 60
 #: Length of the first step that may be taken, in deviations of all residuals together.
 _FIRST_STEP = 1e4
 #: Residual of what cannot be projected, in deviations.
@@ -71,12 +73,14 @@ class Adjusted:
         Which points of each view are not left out.
     scales : (k, 2) float
         Factors of the predicted deviations of camera and panel, for each view.
+    converged : bool
     """
 
     rig: Rig
     poses: tuple[Pose, ...]
     kept: tuple[Mask, ...]
     scales: Array
+    converged: bool = True
 
 
 def plain_residuals(rig: Rig, pose: Pose, view: BoardView) -> tuple[Array, Array]:
@@ -242,12 +246,12 @@ def _solved(
         x_scale="jac",
         loss="cauchy" if robust else "linear",
         f_scale=_CAUCHY,
-        max_nfev=60,
+        max_nfev=_MOST_STEPS,
         xtol=1e-10,
         ftol=1e-4 if robust else 1e-8,
     )
     rig, poses = unpacked(found.x - offset)
-    return replace(state, rig=rig, poses=tuple(poses))
+    return replace(state, rig=rig, poses=tuple(poses), converged=found.status > 0)
 
 
 def _right_jacobian(turn: Array) -> Array:

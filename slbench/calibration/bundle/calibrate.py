@@ -23,7 +23,7 @@ from slbench.calibration.bundle.uncertainty import (
 from slbench.calibration.bundle.views import BoardView
 from slbench.calibration.bundle.volume import coded_axis, point_covariance, volume_points
 from slbench.calibration.target.free import LEAST_POINTS
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.show.display import brief
 from slbench.patterns import Axis
 from slbench.rig import Pose, Rig
@@ -61,6 +61,8 @@ class BoardCalibration:
         How it was placed.
     strangers : tuple of str
         Names of the views of which most points do not fit the others: left out whole.
+    converged : bool
+        Whether the adjustment came to rest.
     """
 
     views: tuple[BoardView, ...]
@@ -72,6 +74,7 @@ class BoardCalibration:
     fixed: Mapping[str, float]
     world: str
     strangers: tuple[str, ...] = ()
+    converged: bool = True
 
     __repr__ = brief
 
@@ -186,6 +189,7 @@ class BoardCalibration:
                 name: {"value": value, "std": std} for name, (value, std) in self.parameters.items()
             },
             "baseline_mm": dict(zip(("value", "std"), self.baseline_mm, strict=True)),
+            "converged": self.converged,
             "undetermined": self.known.undetermined,
             "normal_spread_deg": normal_spread_deg(self._adjusted),
             "reach": {role: reach_of(self.views, self._adjusted, role) for role in ROLES},
@@ -261,6 +265,11 @@ def calibrate_boards(
     InputError
         With too few views, views of other sizes, no such world, or poses that do not determine a
         focal length.
+
+    Warns
+    -----
+    InputWarning
+        If the board that is the world looks the same when it is turned, or is seen in part.
     """
     _check_sizes(views)
     names = [view.name for view in views]
@@ -295,6 +304,8 @@ def calibrate_boards(
     if world is not None and world not in [view.name for view in views]:
         raise InputError("world", "a view that fits the others", world)
     placed = _placed(found, views, world)
+    if world is not None and not views[[view.name for view in views].index(world)].placed:
+        warn_user(world, "which of its points are in view cannot be told: the world may be turned")
     return BoardCalibration(
         views=tuple(views),
         rig=placed.rig,
@@ -305,6 +316,7 @@ def calibrate_boards(
         fixed=values,
         world="working distance" if world is None else f"board {world}",
         strangers=tuple(strangers),
+        converged=found.converged,
     )
 
 

@@ -111,6 +111,8 @@ def _cause(ratio: float, pose_factor: float) -> str:
 def doubts(found: BoardCalibration) -> dict[str, str]:
     """Return what poses do not tell, and views that are left out, by what it is about."""
     told = dict.fromkeys(found.strangers, "most of its points do not fit the others: left out")
+    if not found.converged:
+        told["adjustment"] = "did not come to rest: fix what the poses hardly tell (--fix)"
     for name, why in found.known.undetermined.items():
         told[name] = f"{why} (--fix {name})"
     return told

@@ -7,12 +7,14 @@ import pytest
 from board_views import BOARD, free_poses, macro_rig, projected_view, projected_views
 from scipy.spatial.transform import Rotation
 
+from slbench.calibration.bundle import adjust
 from slbench.calibration.bundle.adjust import derivatives, residuals, turned
 from slbench.calibration.bundle.calibrate import calibrate_boards
 from slbench.calibration.bundle.models import free_parameters, read_fixed
+from slbench.calibration.bundle.summary import doubts
 from slbench.calibration.bundle.volume import point_covariance
 from slbench.cloud.triangulation import intersect_axis
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
 from slbench.rig import Pose
 from slbench.rig.parameters import moved
 
@@ -222,6 +224,14 @@ def test_a_bent_board_widens_the_covariance():
     assert calibrate_boards(views).known.pose_factor < 2.0
 
 
+def test_an_adjustment_that_does_not_come_to_rest_says_so(monkeypatch):
+    assert exact().converged
+    monkeypatch.setattr(adjust, "_MOST_STEPS", 2)
+    found = calibrate_boards(projected_views(RIG, seed=3))
+    assert not found.converged
+    assert "come to rest" in doubts(found)["adjustment"]
+
+
 def test_world_at_a_board():
     found = calibrate_boards(projected_views(RIG), world="pose03")
     np.testing.assert_allclose(found.poses[3].rotation, np.eye(3), atol=1e-9)
@@ -231,6 +241,11 @@ def test_world_at_a_board():
     np.testing.assert_allclose(
         found.rig.camera.pose.position, truth.to_local(np.zeros(3)), atol=1e-6
     )
+    # A board of two odd counts, or a part of one, may be turned by half a turn.
+    views = projected_views(RIG)
+    views[3] = replace(views[3], placed=False)
+    with pytest.warns(InputWarning, match="pose03: .* may be turned"):
+        calibrate_boards(views, world="pose03")
     with pytest.raises(InputError, match="one of the views"):
         calibrate_boards(projected_views(RIG), world="pose77")
 
