@@ -36,7 +36,7 @@ def export(
     changes: SceneChanges = None,
     allow_modules: AllowModules = False,
 ) -> None:
-    """Write a scene as Mitsuba XML, if stock plugins can express it."""
+    """Write a scene as Mitsuba XML, where stock plugins will do."""
     from slbench.core.io import files_beside
     from slbench.patterns import panel_response
     from slbench.simulate.render.translate import export_xml
