@@ -70,12 +70,15 @@ def capture_of(scene, path, seed=0):
     assert run_cli("scan", scene, "--preview", "--seed", seed, "--out", path).status == 0
 
 
+def shots():
+    frames = slanted_plane(frames=5).stack()
+    return [np.rint(255 * np.clip(frame, 0, 1)).astype(np.uint8) for frame in frames]
+
+
 def photographs(path):
     path.mkdir()
-    for number, frame in enumerate(slanted_plane(frames=5).stack()):
-        cv2.imwrite(
-            str(path / f"{number}.png"), np.rint(255 * np.clip(frame, 0, 1)).astype(np.uint8)
-        )
+    for number, frame in enumerate(shots()):
+        cv2.imwrite(str(path / f"{number}.png"), frame)
 
 
 def noise_table(path):
@@ -141,6 +144,7 @@ GIVEN = {
     "intrinsics.yml": lambda path: storage(path, M1=K_CAMERA, M2=K_PROJECTOR),
     "extrinsics.yml": lambda path: storage(path, R=R, T=T),
     "points.csv": lambda path: shutil.copy(ROOT / "results" / "calibration" / "points.csv", path),
+    "stack.tif": lambda path: cv2.imwritemulti(str(path), shots()),
     "few.csv": few_rigs,
     "heights.csv": lambda path: write_table(
         path, ("z_mm",), [(z,) for z in (-8.0, -4.0, 0.0, 4.0, 8.0)]
