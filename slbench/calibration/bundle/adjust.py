@@ -42,7 +42,7 @@ Mask = NDArray[np.bool_]
 #: Scale of Cauchy's loss, in deviations.
 _CAUCHY = 3.0
 #: Evaluations of an adjustment after which it is not going to come to rest.
-_MOST_STEPS = 60
+_MOST_STEPS = 300
 #: Length of the first step that may be taken, in deviations of all residuals together.
 _FIRST_STEP = 1e4
 #: Residual of what cannot be projected, in deviations.
