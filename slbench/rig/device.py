@@ -39,6 +39,7 @@ from slbench.core.validation.types import (
     Pair,
     PanelBits,
     Pixels,
+    Shading,
     Size,
 )
 from slbench.core.validation.values import Value, checked
@@ -53,6 +54,7 @@ from slbench.rig.distortion import (
 )
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners, product
+from slbench.rig.shading import least_shading, shading
 from slbench.rig.spread import Spread
 
 if TYPE_CHECKING:
@@ -393,9 +395,29 @@ class Camera(Device):
     ----------
     fill_factor : float
         Photosensitive share of a pixel's area, in (0, 1].
+    shading : (m,) float
+        Brightness over the picture beyond the lens's natural fall-off: coefficients of a polynomial
+        of a degree up to 4, so 0, 2, 5, 9 or 14 of them (:mod:`slbench.rig.shading`).
+
+    Raises
+    ------
+    InputError
+        For shading that is not positive all over the picture, or values outside their range.
     """
 
     fill_factor: Fraction = 1.0
+    shading: Shading = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (least := least_shading(self.shading)) <= 0.0:
+            expected = "a brightness above 0 all over the picture"
+            raise InputError("camera: shading", expected, f"{least:.3g} at its darkest")
+
+    def relative_illumination(self, pixels: ArrayLike) -> Array:
+        """Return the lens's fall-off at pixels (..., 2), its shading included."""
+        own = super().relative_illumination(pixels)
+        return own * shading(self.shading, pixels, (self.width, self.height))
 
     @property
     def etendue_mm2_sr(self) -> float:

@@ -7,7 +7,7 @@ coordinates (default: identity, the world is the camera's frame).  OpenCV has no
 apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers),
 ``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
 ``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``name_*``,
-``fill_factor_camera``, ``flux_w``,
+``fill_factor_camera``, ``shading_camera``, ``flux_w``,
 ``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.  Where the parameters' covariance is
 known, ``covariance_names`` and ``covariance`` have it (:mod:`slbench.rig.parameters`).  Other
 entries are left alone, unless they are almost one of these.  ``docs/reference/rig-files.md`` has
@@ -42,6 +42,7 @@ from slbench.rig.lens import Lens
 from slbench.rig.parameters import ParameterCovariance
 from slbench.rig.pose import Pose, checked_rotation
 from slbench.rig.rig import ALONE, LEAST_DEPTH_MM, VOLUME_MM, Pair, Rig
+from slbench.rig.shading import COUNTS
 
 #: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel
 #: depend on it; rays do not.
@@ -54,7 +55,8 @@ _OF_DEVICES = (
 )
 _ENTRIES = (
     *(f"{stem}_{name}" for stem in _OF_DEVICES for name in ALONE),
-    *("R", "T", "R_world", "T_world", "fill_factor_camera", "flux_w", "bit_depth_projector"),
+    *("R", "T", "R_world", "T_world", "fill_factor_camera", "shading_camera"),
+    *("flux_w", "bit_depth_projector"),
     *("gamma_projector", "volume_mm", "covariance_names", "covariance"),
 )
 #: Letters of an entry, and its likeness to one of ours, from which it is a slip of it; and its
@@ -76,6 +78,7 @@ _KEYS = {
     "width": "size_{}",
     "height": "size_{}",
     "fill_factor": "fill_factor_{}",
+    "shading": "shading_{}",
     "flux_w": "flux_w",
     "bit_depth": "bit_depth_{}",
     "gamma": "gamma_{}",
@@ -139,6 +142,8 @@ def write_rig(path: str | Path, rig: Rig, covariance: ParameterCovariance | None
         "gamma_projector": float(projector.gamma),
         "volume_mm": np.array(rig.volume_mm, dtype=np.float64),
     }
+    if camera.shading:
+        values["shading_camera"] = np.array(camera.shading)
     if covariance is not None:
         values["covariance_names"] = " ".join(covariance.names)
         values["covariance"] = covariance.matrix
@@ -344,7 +349,8 @@ def rig_of(
         depths = (camera_depth, projector_depth)
     before = depths if min(depths) > LEAST_DEPTH_MM else (None, None)
     camera_arguments = _device_arguments(values, "camera", before[0]) | {
-        "fill_factor": values.number("fill_factor_camera", 1.0)
+        "fill_factor": values.number("fill_factor_camera", 1.0),
+        "shading": tuple(values.array("shading_camera", COUNTS, ()).tolist()),
     }
     projector_arguments = _device_arguments(values, "projector", before[1]) | {
         "flux_w": values.number("flux_w", 1.0),

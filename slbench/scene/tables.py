@@ -30,6 +30,7 @@ from slbench.core.validation.types import (
     Pixels,
     Samples,
     Seed,
+    Shading,
     TiltDegrees,
     Vector,
     Vibration,
@@ -103,10 +104,12 @@ class CameraOptics(Optics):
     """The optical keys of a camera."""
 
     fill_factor: Fraction = 1.0
+    shading: Shading = ()
 
     def arguments(self, distance_mm: float) -> dict[str, Any]:
         """Return the arguments of Camera, focused at `distance_mm` by default."""
-        return super().arguments(distance_mm) | {"fill_factor": self.fill_factor}
+        own = {"fill_factor": self.fill_factor, "shading": self.shading}
+        return super().arguments(distance_mm) | own
 
 
 class ProjectorOptics(Optics):
@@ -174,6 +177,7 @@ class CameraBeside(LensBeside):
     """``[camera]`` beside a rig's file."""
 
     fill_factor: Fraction | None = None
+    shading: Shading | None = None
 
 
 class ProjectorBeside(LensBeside):
