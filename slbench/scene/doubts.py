@@ -6,6 +6,7 @@ What can be rendered and was probably meant otherwise is questioned by :func:`sc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,9 +18,11 @@ from slbench.core.units import MILLIMETRES
 from slbench.detector import Detector
 from slbench.objects import Mesh
 from slbench.rig import Rig
-from slbench.rig.device import Device
+from slbench.rig.device import Camera, Device
 from slbench.rig.doubts import focal_length_doubt, rig_doubts
+from slbench.scene.datasheet import format_diagonal_mm
 from slbench.scene.model import Scene, SceneObject
+from slbench.scene.optics import CameraOptics
 from slbench.scene.tables import SceneTables
 
 Array = NDArray[np.float64]
@@ -32,6 +35,8 @@ _SMALL, _LARGE = 0.02, 1.5
 _SPECK_PX = 2.0
 #: Share of full well that a converter counts: gains of cameras use a tenth of it and more.
 _COUNTED = (0.1, 10.0)
+#: Diagonals of sensors of one format, over the nominal one.
+_FORMAT_TOLERANCE = 1.05
 #: Objects that a refusal describes.
 _MOST = 3
 #: Units in the order in which they are tried, with the words for them.
@@ -64,7 +69,23 @@ def _lens_doubts(rig: Rig, tables: SceneTables) -> Iterator[tuple[str, str]]:
         if table is not None and table.f_number and table.focal_length_mm:
             focus = device.lens.focus_distance_mm
             if doubt := focal_length_doubt(table.focal_length_mm, focus):
-                yield f"{name}.focal_length_mm", doubt
+                yield f"{name}.focal_length_mm", f"{doubt}: lens_mm states the focal length"
+    made_for = tables.camera.lens_format if isinstance(tables.camera, CameraOptics) else None
+    if made_for and (doubt := image_circle_doubt(made_for, rig.camera)):
+        yield "camera.lens_format", doubt
+
+
+def image_circle_doubt(lens_format: str, camera: Camera) -> str | None:
+    """Question a lens whose picture is smaller than the sensor behind it."""
+    circle = format_diagonal_mm(lens_format)
+    (pu, pv) = camera.pitch_mm
+    diagonal = math.hypot(pu * camera.width, pv * camera.height)
+    if diagonal <= _FORMAT_TOLERANCE * circle:
+        return None
+    return (
+        f"a lens for {lens_format} makes a picture of {length(circle)} across, and the sensor's "
+        f"diagonal is {length(diagonal)}: its corners may be dark, which is not simulated"
+    )
 
 
 def converter_doubt(detector: Detector) -> str | None:

@@ -35,7 +35,6 @@ from slbench.core.registry import quoted
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
 from slbench.detector.base import DEFAULT as DEFAULT_DETECTOR
-from slbench.detector.base import detector_of
 from slbench.patterns import PatternSequence, read_patterns
 from slbench.patterns.given import PatternsTable
 from slbench.rig import VOLUME_MM, Camera, DesignVariables, Pose, Projector, Rig
@@ -51,6 +50,7 @@ from slbench.scene.changes import (
     naming_changes,
     read_changes,
 )
+from slbench.scene.detector import read_detector
 from slbench.scene.doubts import scene_doubts
 from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject, place_of
@@ -276,7 +276,7 @@ def _build(
         rig=rig,
         objects=scene_objects,
         sequence=_patterns(file.patterns, panel, path.parent, allow_modules),
-        detector=detector_of(file.detector, f"{path.name}: detector"),
+        detector=read_detector(file.detector, f"{path.name}: detector"),
         exposure=Exposure(
             None if file.exposure.time_ms is None else file.exposure.time_ms * 1e-3,
             file.exposure.white_level,
@@ -337,8 +337,10 @@ def _rig(file: SceneTables, path: Path) -> Rig:
     for name, distance in (("camera", camera_focus), ("projector", projector_focus)):
         if distance <= 0:
             raise InputError(f"rig.{name}", "a device that faces the origin", "it faces away")
-    camera = Camera(**file.camera.arguments(camera_focus), pose=poses[0])
-    projector = Projector(**file.projector.arguments(projector_focus), pose=poses[1])
+    with located(f"{path.name}: camera"):
+        camera = Camera(**file.camera.arguments(camera_focus), pose=poses[0])
+    with located(f"{path.name}: projector"):
+        projector = Projector(**file.projector.arguments(projector_focus), pose=poses[1])
     return Rig(camera, projector, values.volume_mm or VOLUME_MM)
 
 

@@ -7,7 +7,6 @@ is refused with the key's full name.  ``docs/reference/scene-files.md`` lists th
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,112 +16,22 @@ from slbench.capture.focus import MAX_SETTINGS, Focus
 from slbench.core.errors import InputError
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import (
-    Aperture,
     Blur,
     Bounces,
     Coordinate,
     Count,
-    Distortion,
     Fraction,
     Measure,
     NotNegative,
-    Pair,
-    Pixels,
     Samples,
     Seed,
     Shading,
-    TiltDegrees,
     Vector,
     Vibration,
 )
 from slbench.patterns.given import PatternsTable
-from slbench.rig import Lens, Pose, Rig
-
-
-class Optics(Parameters):
-    """What camera and projector have in common."""
-
-    resolution_px: tuple[Pixels, Pixels]
-    pitch_um: Measure | tuple[Measure, Measure]
-    focal_length_mm: Measure | None = None
-    f_number: Measure | None = None
-    aperture_radius_mm: NotNegative | None = None
-    focus_distance_mm: Measure | None = None
-    magnification: Measure | None = None
-    numerical_aperture: Aperture | None = None
-    natural_vignetting: bool = True
-    wavelength_nm: NotNegative = 0.0
-    blur_px: Blur = 0.0
-    principal_point_px: Pair | None = None
-    distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
-    tilt_deg: tuple[TiltDegrees, TiltDegrees] = (0.0, 0.0)
-    body_mm: tuple[Measure, Measure, Measure] | None = None
-
-    @model_validator(mode="after")
-    def _one_lens(self) -> Optics:
-        if (self.focal_length_mm is None) == (self.magnification is None):
-            raise ValueError(
-                "focal_length_mm (perspective) or magnification (telecentric), one of them"
-            )
-        if self.f_number is not None and self.aperture_radius_mm is not None:
-            raise ValueError("f_number or aperture_radius_mm, not both")
-        if self.magnification is None and self.numerical_aperture is not None:
-            raise ValueError("numerical_aperture with a telecentric lens only")
-        if self.magnification is not None and (self.f_number or self.aperture_radius_mm):
-            raise ValueError("numerical_aperture, not f_number or a radius, with a magnification")
-        return self
-
-    def arguments(self, distance_mm: float) -> dict[str, Any]:
-        """Return the arguments of a device, focused at `distance_mm` by default."""
-        focus = self.focus_distance_mm or distance_mm
-        if self.magnification is not None:
-            lens = Lens.telecentric(self.magnification, self.numerical_aperture or 0.0, focus)
-        else:
-            assert self.focal_length_mm is not None  # by _one_lens
-            radius = self.aperture_radius_mm or 0.0
-            if self.f_number is not None:
-                radius = self.focal_length_mm / (2.0 * self.f_number)
-            lens = Lens(
-                self.focal_length_mm, radius, focus, natural_vignetting=self.natural_vignetting
-            )
-        lens = replace(lens, wavelength_nm=self.wavelength_nm)
-        pitch = self.pitch_um if isinstance(self.pitch_um, tuple) else (self.pitch_um,) * 2
-        return {
-            "width": self.resolution_px[0],
-            "height": self.resolution_px[1],
-            "pitch_mm": (pitch[0] * 1e-3, pitch[1] * 1e-3),
-            "lens": lens,
-            "principal_point": self.principal_point_px,
-            "distortion": self.distortion,
-            "blur_px": self.blur_px,
-            "body_mm": self.body_mm,
-            "tilt_rad": (float(np.deg2rad(self.tilt_deg[0])), float(np.deg2rad(self.tilt_deg[1]))),
-        }
-
-
-class CameraOptics(Optics):
-    """The optical keys of a camera."""
-
-    fill_factor: Fraction = 1.0
-    shading: Shading = ()
-
-    def arguments(self, distance_mm: float) -> dict[str, Any]:
-        """Return the arguments of Camera, focused at `distance_mm` by default."""
-        own = {"fill_factor": self.fill_factor, "shading": self.shading}
-        return super().arguments(distance_mm) | own
-
-
-class ProjectorOptics(Optics):
-    """The optical keys of a projector, and its light."""
-
-    flux_w: Measure = 1.0
-    bit_depth: Annotated[int, Field(ge=0, le=16)] = 8
-    gamma: Measure = 1.0
-
-    def arguments(self, distance_mm: float) -> dict[str, Any]:
-        """Return the arguments of Projector, focused at `distance_mm` by default."""
-        light = {"flux_w": self.flux_w, "bit_depth": self.bit_depth or None, "gamma": self.gamma}
-        return super().arguments(distance_mm) | light
+from slbench.rig import Pose, Rig
+from slbench.scene.optics import CameraOptics, ProjectorOptics
 
 
 class LensBeside(Parameters):

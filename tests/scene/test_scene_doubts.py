@@ -125,6 +125,16 @@ def test_a_catalogue_lens_is_questioned_where_an_f_number_tells_of_it(tmp_path):
     near = {"resolution_px": [160, 120], "pitch_um": 29.6, "focus_distance_mm": 150.0}
     (line,) = loaded(tmp_path, camera=near)
     assert line.startswith("small.toml: camera.focal_length_mm: 16 mm is taken as principal")
-    assert line.endswith("in focus at 150 mm has 17.91 mm")
+    assert line.endswith("in focus at 150 mm has 17.91 mm: lens_mm states the focal length")
     assert loaded(tmp_path, camera=near | {"focal_length_mm": 17.91}) == []
     assert loaded(tmp_path, camera=near | {"focus_distance_mm": 400.0}) == []
+
+
+def test_a_lens_for_a_smaller_sensor_is_questioned(tmp_path):
+    # 160 x 120 px of 29.6 um: 5.92 mm of diagonal.  A lens for 1/4 has 18 mm / 4 = 4.5 mm, one
+    # for 1/3 has 6 mm.
+    camera = {"resolution_px": [160, 120], "pitch_um": 29.6}
+    assert loaded(tmp_path, camera=camera | {"lens_format": "1/3"}) == []
+    (line,) = loaded(tmp_path, camera=camera | {"lens_format": "1/4"})
+    assert line.startswith("small.toml: camera.lens_format: a lens for 1/4 makes a picture of 4.5")
+    assert "diagonal is 5.92 mm" in line

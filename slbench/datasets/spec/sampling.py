@@ -17,6 +17,7 @@ import numpy as np
 from slbench.core.errors import InputError
 from slbench.core.io import plain, write_toml
 from slbench.core.random import derived_seed
+from slbench.core.validation.values import validated
 from slbench.datasets.spec.distributions import Distribution, column, find, put, stream
 from slbench.datasets.spec.embedded import file_names
 from slbench.datasets.spec.specification import Specification
@@ -25,6 +26,7 @@ from slbench.datasets.store.shards import key
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene, load_settings
 from slbench.scene.model import Scene
+from slbench.scene.optics import CameraOptics
 
 #: Width and Monte Carlo samples of a preview, where the scene does not say.
 _PREVIEW_WIDTH, _PREVIEW_SAMPLES = 320, 16
@@ -132,8 +134,8 @@ def _coarsen(table: dict[str, Any], width: int, settings: Mapping[str, Any]) -> 
     if camera is None:
         return divisor
     width, height = camera["resolution_px"]
-    pitch = camera["pitch_um"]
-    pitches = pitch if isinstance(pitch, list) else [pitch, pitch]
+    pitches = validated(CameraOptics, camera, "camera").pitches_um
+    camera.pop("sensor_format", None)
     camera["resolution_px"] = [max(width // divisor, 1), max(height // divisor, 1)]
     camera["pitch_um"] = [p * divisor for p in pitches]
     u, v = camera.get("principal_point_px", [(width - 1) / 2, (height - 1) / 2])

@@ -26,7 +26,7 @@ from slbench.core.show.display import brief
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Coordinate, Measure, Pair, Size
 from slbench.core.validation.values import Value, validated
-from slbench.detector.base import DetectorModel, detector_of
+from slbench.detector.base import DetectorModel
 from slbench.detector.emva1288 import Detector
 from slbench.rig import (
     Camera,
@@ -38,8 +38,9 @@ from slbench.rig import (
     rotation_yx,
 )
 from slbench.scene.changes import Changes, apply_changes, naming_changes, read_changes
+from slbench.scene.detector import read_detector
 from slbench.scene.file import read_merged
-from slbench.scene.tables import Optics, ProjectorOptics
+from slbench.scene.optics import CameraOptics, ProjectorOptics
 
 Array = NDArray[np.float64]
 #: Panel axes that are coded: named, or how many.
@@ -304,7 +305,7 @@ class _Volume(Parameters):
 
 
 class _HardwareFile(Parameters):
-    camera: Optics
+    camera: CameraOptics
     projector: ProjectorOptics
     rig: dict[str, Any]
     design: _Design
@@ -393,7 +394,7 @@ def _hardware(content: Mapping[str, Any], path: Path) -> Hardware:
             design.coded_axes or _coded_by(file.patterns),
             design.circle_of_confusion_px,
             (file.camera.focus_distance_mm is None, file.projector.focus_distance_mm is None),
-            detector_of(file.detector, f"{path.name}: detector"),
+            read_detector(file.detector, f"{path.name}: detector"),
         )
 
 

@@ -31,6 +31,7 @@ from slbench.design.rig import hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import artefacts, loading
 from slbench.scene.bsdfs import bsdfs
+from slbench.scene.detector import SheetKeys
 from slbench.scene.file import read_merged
 from slbench.scene.tables import SceneOfFile, SceneTables
 
@@ -70,6 +71,7 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
     ),
     (_stack_table(()), {"captures": ["focus000", "focus001"], "camera_mm": [100.0, 200.0]}),
     (Detector, {"full_well_e": 9000.0}),
+    (SheetKeys, {"snr_max_db": 40.3, "dynamic_range_db": 71.2}),
     (Specification, read_toml(resources.find("scenes", "datasets/mixed"))),
     (Distribution, {"uniform": [0.5, 0.9], "name": "level"}),
     (hardware._HardwareFile, read_merged(resources.find("scenes", "hardware/macro-ch6"))),
