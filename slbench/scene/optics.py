@@ -7,7 +7,7 @@ its keys is in the place of one of the model's, and is turned into it when the d
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -39,6 +39,10 @@ _Offset = Annotated[float, FINITE, Interval(ge=-1000.0, le=1000.0)]
 class Optics(Parameters):
     """What camera and projector have in common."""
 
+    #: Keys of data sheets that tell the principal distance, and the pixels' pitch.
+    _LENSES: ClassVar[tuple[str, ...]] = ("lens_mm",)
+    _PITCHES: ClassVar[tuple[str, ...]] = ()
+
     resolution_px: tuple[Pixels, Pixels]
     pitch_um: Measure | tuple[Measure, Measure] | None = None
     focal_length_mm: Measure | None = None
@@ -60,10 +64,10 @@ class Optics(Parameters):
 
     @model_validator(mode="after")
     def _one_lens(self) -> Optics:
-        lenses, pitches = self._lenses(), self._pitches()
-        self._one_of(lenses, 1)
-        self._one_of(pitches, 1)
-        self._one_of(("f_number", "aperture_radius_mm", "lens_f_number"))
+        lens = "focal_length_mm (perspective) or magnification (telecentric)"
+        self._one_of(("focal_length_mm", "magnification"), self._LENSES, lens)
+        self._one_of(("pitch_um",), self._PITCHES, "pitch_um")
+        self._at_most_one(("f_number", "aperture_radius_mm", "lens_f_number"))
         if self.magnification is None and self.numerical_aperture is not None:
             raise ValueError("numerical_aperture with a telecentric lens only")
         aperture = self.f_number or self.aperture_radius_mm or self.lens_f_number
@@ -72,20 +76,15 @@ class Optics(Parameters):
         _ = self.pitches_um  # refuses what is no format of a sensor
         return self
 
-    def _lenses(self) -> tuple[str, ...]:
-        """Return the keys that tell the principal distance, each in its own way."""
-        return ("focal_length_mm", "lens_mm", "magnification")
+    def _one_of(self, keys: tuple[str, ...], sheet: tuple[str, ...], words: str) -> None:
+        """Refuse all but one of the model's keys, which words name, and a data sheet's."""
+        if sum(getattr(self, key) is not None for key in (*keys, *sheet)) != 1:
+            raise ValueError(f"{words}, or by a data sheet {' or '.join(sheet)}; one of them")
 
-    def _pitches(self) -> tuple[str, ...]:
-        """Return the keys that tell the pixels' pitch, each in its own way."""
-        return ("pitch_um",)
-
-    def _one_of(self, keys: tuple[str, ...], least: int = 0) -> None:
+    def _at_most_one(self, keys: tuple[str, ...]) -> None:
         stated = [key for key in keys if getattr(self, key) is not None]
-        if len(stated) == 2:
-            raise ValueError(f"{' or '.join(stated)}, not both")
-        if not least <= len(stated) <= 1:
-            raise ValueError(f"one of {', '.join(keys)}")
+        if len(stated) > 1:
+            raise ValueError(f"{' or '.join(stated[:2])}, not both")
 
     @property
     def pitches_um(self) -> tuple[float, float]:
@@ -149,6 +148,8 @@ class Optics(Parameters):
 class CameraOptics(Optics):
     """The optical keys of a camera."""
 
+    _PITCHES: ClassVar[tuple[str, ...]] = ("sensor_format",)
+
     fill_factor: Fraction = 1.0
     shading: Shading = ()
     # By the data sheets of sensor and lens: formats, in inches.
@@ -160,9 +161,6 @@ class CameraOptics(Optics):
         if self.lens_format is not None:
             datasheet.format_diagonal_mm(self.lens_format, "lens_format")
         return self
-
-    def _pitches(self) -> tuple[str, ...]:
-        return (*super()._pitches(), "sensor_format")
 
     @property
     def pitches_um(self) -> tuple[float, float]:
@@ -181,6 +179,9 @@ class CameraOptics(Optics):
 class ProjectorOptics(Optics):
     """The optical keys of a projector, and its light."""
 
+    _LENSES: ClassVar[tuple[str, ...]] = ("lens_mm", "throw_ratio")
+    _PITCHES: ClassVar[tuple[str, ...]] = ("micromirror_um", "panel_inch")
+
     flux_w: Measure = 1.0
     bit_depth: Annotated[int, Field(ge=0, le=16)] = 8
     gamma: Measure = 1.0
@@ -196,7 +197,7 @@ class ProjectorOptics(Optics):
 
     @model_validator(mode="after")
     def _one_projector(self) -> ProjectorOptics:
-        self._one_of(("principal_point_px", "offset_percent", "lens_shift_percent"))
+        self._at_most_one(("principal_point_px", "offset_percent", "lens_shift_percent"))
         if self.flux_lm is not None and "flux_w" in self.model_fields_set:
             raise ValueError("flux_w or flux_lm, not both")
         if self.zoom != 1.0 and self.throw_ratio is None:
@@ -204,12 +205,6 @@ class ProjectorOptics(Optics):
         if self.micromirrors == "diamond" and self.pitch_um is not None:
             raise ValueError("micromirrors with micromirror_um or panel_inch only")
         return self
-
-    def _lenses(self) -> tuple[str, ...]:
-        return (*super()._lenses(), "throw_ratio")
-
-    def _pitches(self) -> tuple[str, ...]:
-        return (*super()._pitches(), "micromirror_um", "panel_inch")
 
     @property
     def pitches_um(self) -> tuple[float, float]:

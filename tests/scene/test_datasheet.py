@@ -76,7 +76,7 @@ def test_formats(sensor_format, diagonal):
 
 @pytest.mark.parametrize("word", ["", "APS-C", "1/0", "16 mm", "8.9", "1/100", "-1/2"])
 def test_what_is_no_format(word):
-    with pytest.raises(InputError, match="a format such as 1/1.8, 2/3 or 1.1"):
+    with pytest.raises(InputError, match=r"a format such as 1/1\.8, 2/3 or 1\.1"):
         datasheet.format_diagonal_mm(word)
 
 

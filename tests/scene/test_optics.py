@@ -96,9 +96,9 @@ def test_a_detector_by_its_sheet(tmp_path):
 @pytest.mark.parametrize(
     ("tables", "words"),
     [
-        ({"camera": CAMERA | {"focal_length_mm": 27.3}}, "focal_length_mm or lens_mm, not both"),
-        ({"camera": CAMERA | {"sensor_format": "1/2"}}, "pitch_um or sensor_format, not both"),
-        ({"camera": {k: CAMERA[k] for k in ("resolution_px", "lens_mm")}}, "one of pitch_um, sen"),
+        ({"camera": CAMERA | {"focal_length_mm": 27.3}}, "or by a data sheet lens_mm; one of them"),
+        ({"camera": CAMERA | {"sensor_format": "1/2"}}, "data sheet sensor_format; one of them"),
+        ({"camera": {k: CAMERA[k] for k in ("resolution_px", "lens_mm")}}, "pitch_um, or by a da"),
         (
             {"camera": CAMERA | {"f_number": 4.0, "lens_f_number": 4.0}},
             "f_number or lens_f_number, not both",
@@ -111,8 +111,11 @@ def test_a_detector_by_its_sheet(tmp_path):
             {"camera": CAMERA | {"focus_distance_mm": 0.3}},
             "camera: focus_distance_mm: expected a distance beyond the focal length, 25 mm, got",
         ),
-        ({"projector": PROJECTOR | {"lens_mm": 14.0}}, "lens_mm or throw_ratio, not both"),
-        ({"projector": PROJECTOR | {"pitch_um": 7.6}}, "pitch_um or micromirror_um, not both"),
+        ({"projector": PROJECTOR | {"lens_mm": 14.0}}, "data sheet lens_mm or throw_ratio; one of"),
+        (
+            {"projector": PROJECTOR | {"pitch_um": 7.6}},
+            "data sheet micromirror_um or panel_inch; one of",
+        ),
         (
             {"projector": PROJECTOR | {"offset_percent": 1.0, "lens_shift_percent": 2.0}},
             "offset_percent or lens_shift_percent, not both",
@@ -151,7 +154,7 @@ def test_a_data_set_s_preview_has_the_sensor_s_size(tmp_path):
 def test_a_rig_is_designed_from_data_sheets(tmp_path):
     content = {"extends": "hardware/macro-ch6", "camera": {"lens_mm": 16.0}}
     (tmp_path / "mine.toml").write_text(tomli_w.dumps(content))
-    with pytest.raises(InputError, match="focal_length_mm or lens_mm, not both"):
+    with pytest.raises(InputError, match="or by a data sheet lens_mm; one of them"):
         load_hardware(tmp_path / "mine.toml")
     content["set"] = {"camera.focal_length_mm": ""}
     (tmp_path / "mine.toml").write_text(tomli_w.dumps(content))
