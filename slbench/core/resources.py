@@ -22,13 +22,15 @@ _KINDS = ("scenes", "objects")
 _NAME = re.compile(r"([A-Za-z0-9][A-Za-z0-9._-]*/)?[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
-def names(kind: Kind) -> list[str]:
+def names(kind: Kind, folder: str = "") -> list[str]:
     """Names of the shipped files of a kind, sorted.
 
     Parameters
     ----------
     kind : {"scenes", "objects"}
         Which folder.
+    folder : str
+        A folder in that: ``"hardware"`` of scenes.
 
     Returns
     -------
@@ -40,7 +42,7 @@ def names(kind: Kind) -> list[str]:
     InputError
         If `kind` is neither of the two.
     """
-    return sorted(path.stem for path in _folder(kind).glob("*.toml"))
+    return sorted(path.stem for path in (_folder(kind) / folder).glob("*.toml"))
 
 
 def find(kind: Kind, name_or_path: str | Path) -> Path:

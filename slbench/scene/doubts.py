@@ -20,9 +20,9 @@ from slbench.objects import Mesh
 from slbench.rig import Rig
 from slbench.rig.device import Camera, Device
 from slbench.rig.doubts import focal_length_doubt, rig_doubts
-from slbench.scene.datasheet import format_diagonal_mm
+from slbench.scene.devices.datasheet import format_diagonal_mm
+from slbench.scene.devices.optics import CameraOptics
 from slbench.scene.model import Scene, SceneObject
-from slbench.scene.optics import CameraOptics
 from slbench.scene.tables import SceneTables
 
 Array = NDArray[np.float64]

@@ -50,7 +50,7 @@ from slbench.scene.changes import (
     naming_changes,
     read_changes,
 )
-from slbench.scene.detector import read_detector
+from slbench.scene.devices.detector import read_detector
 from slbench.scene.doubts import scene_doubts
 from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject, place_of
@@ -118,12 +118,36 @@ def load_scene(
         table = scene.specification.get("calibration", {}) | {"align": True}
         specification = scene.specification | {"calibration": table}
         scene = replace(scene, calibration=made, specification=specification)
-    for what, doubt in scene_doubts(scene, file):
-        warn_user(f"{path.name}: {what}", doubt)
+    _question(scene, file, path)
     if not preview:
         return scene
     divisor = file.preview.divisor or max(1, -(-scene.rig.camera.width // _PREVIEW_WIDTH))
     return scene.coarser(divisor, file.preview.samples)
+
+
+def scene_of(content: dict[str, Any], path: Path) -> Scene:
+    """Return the scene of a file's content, which need not be written yet.
+
+    Parameters
+    ----------
+    content : dict
+        As the file has it, before what it extends.
+    path : Path
+        Where the file is to stand.
+
+    Raises
+    ------
+    InputError
+        As :func:`load_scene`.
+
+    Warns
+    -----
+    InputWarning
+        As :func:`load_scene`.
+    """
+    scene, file = _scene(extended(content, path), path, _objects, False)
+    _question(scene, file, path)
+    return scene
 
 
 def load_settings(path: Path, *, allow_modules: bool = False) -> Scene:
@@ -151,13 +175,29 @@ def _load(
     allow_modules: bool,
     changes: Sequence[Change] = (),
 ) -> tuple[Scene, SceneTables]:
-    content = apply_changes(read_merged(path, allow_modules), changes)
+    return _scene(read_merged(path, allow_modules), path, build_objects, allow_modules, changes)
+
+
+def _scene(
+    content: dict[str, Any],
+    path: Path,
+    build_objects: Callable[[SceneTables, Path], tuple[SceneObject, ...]],
+    allow_modules: bool,
+    changes: Sequence[Change] = (),
+) -> tuple[Scene, SceneTables]:
+    """Return the scene of a merged content."""
+    content = apply_changes(content, changes)
     with naming_changes(path.name, changes):
         file = validated(tables_of(content), content, path.name, separator=": ")
         if changes:  # for whoever asks where a result comes from
             content["set"] = listed(changes)
         with located(path.name):
             return _build(file, path, content, build_objects(file, path), allow_modules), file
+
+
+def _question(scene: Scene, file: SceneTables, path: Path) -> None:
+    for what, doubt in scene_doubts(scene, file):
+        warn_user(f"{path.name}: {what}", doubt, stacklevel=3)
 
 
 def read_merged(

@@ -31,7 +31,7 @@ from slbench.core.validation.types import (
 )
 from slbench.patterns.given import PatternsTable
 from slbench.rig import Pose, Rig
-from slbench.scene.optics import CameraOptics, ProjectorOptics
+from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
 
 
 class LensBeside(Parameters):

@@ -24,9 +24,9 @@ from slbench.datasets.spec.specification import Specification
 from slbench.datasets.store.sample import RIG, SCENE
 from slbench.datasets.store.shards import key
 from slbench.rig.opencv import write_rig
+from slbench.scene.devices.optics import CameraOptics
 from slbench.scene.file import load_scene, load_settings
 from slbench.scene.model import Scene
-from slbench.scene.optics import CameraOptics
 
 #: Width and Monte Carlo samples of a preview, where the scene does not say.
 _PREVIEW_WIDTH, _PREVIEW_SAMPLES = 320, 16

@@ -38,9 +38,9 @@ from slbench.rig import (
     rotation_yx,
 )
 from slbench.scene.changes import Changes, apply_changes, naming_changes, read_changes
-from slbench.scene.detector import read_detector
+from slbench.scene.devices.detector import read_detector
+from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
 from slbench.scene.file import read_merged
-from slbench.scene.optics import CameraOptics, ProjectorOptics
 
 Array = NDArray[np.float64]
 #: Panel axes that are coded: named, or how many.

@@ -31,7 +31,7 @@ from slbench.design.rig import hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import artefacts, loading
 from slbench.scene.bsdfs import bsdfs
-from slbench.scene.detector import SheetKeys
+from slbench.scene.devices.detector import SheetKeys
 from slbench.scene.file import read_merged
 from slbench.scene.tables import SceneOfFile, SceneTables
 

@@ -29,6 +29,8 @@ from slbench.patterns.response import Response
 from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
+from slbench.scene.new.devices import Lenses
+from slbench.scene.new.place import Place
 
 LENS = Lens(16.0, 1.0, 100.0)
 CAMERA = Camera(64, 48, (0.01, 0.01), LENS)
@@ -81,6 +83,10 @@ VALUES = [
     Exposure(),
     Light(),
     OBJECT,
+    Place(300.0, 110.0, 20.0),
+    Lenses(
+        lens_mm=25.0, f_number=4.0, throw_ratio=1.4, projector_f_number=2.4, offset_percent=100.0
+    ),
     Scene("plain", Rig(CAMERA, PROJECTOR), (OBJECT,), SEQUENCE),
 ]
 

@@ -1,7 +1,7 @@
 """What data sheets state, turned into what the model takes.
 
 Pure functions, one a number.  The keys of ``[camera]``, ``[projector]`` and ``[detector]`` that are
-a data sheet's own (:mod:`slbench.scene.optics`) go through them when a scene is loaded.
+a data sheet's own (:mod:`slbench.scene.devices.optics`) go through them when a scene is loaded.
 
 A lens is a thin one here: principal planes in one place, pupils of the size of the aperture.  Its
 distances are from that plane, while data sheets measure from the front of the housing, some
@@ -29,6 +29,8 @@ _HALF_INCH = 0.5
 _FORMAT = re.compile(r'\s*(\d+(?:\.\d+)?)(?:\s*/\s*(\d+(?:\.\d+)?))?\s*(?:"|”|inch)?\s*')
 #: Formats that are made, inch.
 _FORMATS = (0.05, 4.0)
+#: Distances in focus that may be metres, mm.
+_METRES = 10.0
 #: Lumens of a watt of white light of three LEDs: typical.  Light of one wavelength has 683 times
 #: the eye's sensitivity, from 40 (blue, 460 nm) to 683 (green, 555 nm).
 WHITE_LM_PER_W = 300.0
@@ -60,8 +62,8 @@ def principal_distance_mm(lens_mm: float, focus_distance_mm: float) -> float:
     f, d = lens_mm, focus_distance_mm
     if d > f:
         return f if math.isinf(d) else f * d / (d - f)
-    got = f"{length(d)}"
-    if 1e3 * d > 2 * f:
+    got = length(d)
+    if d < _METRES and 1e3 * d > 2 * f:
         got += f"; in metres it would be {length(1e3 * d)}"
     raise InputError("focus_distance_mm", f"a distance beyond the focal length, {length(f)}", got)
 

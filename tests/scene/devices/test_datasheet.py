@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from slbench.core.errors import InputError
 from slbench.rig import Lens, Projector
-from slbench.scene import datasheet
+from slbench.scene.devices import datasheet
 
 # -- lenses -------------------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from slbench.core.validation.types import FINITE, Interval
 from slbench.core.validation.values import validated
 from slbench.detector.base import DEFAULT, DetectorModel, detector_of
 from slbench.detector.emva1288 import Detector
-from slbench.scene import datasheet
+from slbench.scene.devices import datasheet
 
 #: Ratios of cameras, dB; 120 is a million.
 _Decibels = Annotated[float, FINITE, Interval(ge=1.0, le=120.0)]

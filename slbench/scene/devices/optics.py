@@ -1,7 +1,8 @@
 """``[camera]`` and ``[projector]`` of a scene file: the model's keys, and those of data sheets.
 
-What a data sheet states (:mod:`slbench.scene.datasheet`) may be written as it stands there: each of
-its keys is in the place of one of the model's, and is turned into it when the device is made.
+What a data sheet states (:mod:`~slbench.scene.devices.datasheet`) may be written as it stands
+there: each of its keys is in the place of one of the model's, and is turned into it when the device
+is made.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from slbench.core.validation.types import (
     TiltDegrees,
 )
 from slbench.rig import Lens
-from slbench.scene import datasheet
-from slbench.scene.datasheet import Micromirrors
+from slbench.scene.devices import datasheet
+from slbench.scene.devices.datasheet import Micromirrors
 
 #: Per cent of a picture by which a lens moves it: ultra-short throws have some 300.
 _Offset = Annotated[float, FINITE, Interval(ge=-1000.0, le=1000.0)]

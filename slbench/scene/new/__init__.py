@@ -1,0 +1,1 @@
+"""New scene files, from hardware files, data sheets and a ruler."""

@@ -1,0 +1,175 @@
+"""Shipped hardware files: each loads, states its sources, and scans."""
+
+import re
+import tomllib
+
+import numpy as np
+import pytest
+import tomli_w
+
+from slbench.core import resources
+from slbench.core.errors import InputError
+from slbench.detector.emva1288 import Detector
+from slbench.scene.devices import datasheet
+from slbench.scene.file import load_scene
+from slbench.scene.new.hardware import find_hardware, shipped_hardware
+from slbench.simulate.scan import scan
+
+FILES = {one.name: one for one in shipped_hardware()}
+DEVICES = [name for name, one in FILES.items() if one.kind != "rig"]
+CAMERAS = [name for name, one in FILES.items() if one.kind == "camera"]
+PROJECTORS = [name for name, one in FILES.items() if one.kind == "projector"]
+#: What names a source, or says that there is none.
+SOURCE = re.compile(
+    r"Basler|FLIR|Allied Vision|Raspberry Pi|TI\b|Epson|EMVA|thesis|"
+    "derived|typical|estimated|as above"
+)
+LINE = re.compile(r"^(\w+) = ([^#]*?)\s*(?:# (.*))?$")
+
+
+def scene_file(folder, camera, projector):
+    """Write a scene of two files, with lenses where they have none."""
+    lens = {"lens_mm": 25.0, "lens_f_number": 4.0}
+    content = {
+        "extends": [camera, projector],
+        "name": "shipped",
+        "camera": lens | {"focus_distance_mm": 400.0},
+        "projector": {},
+        "rig": {
+            "camera": {"position_mm": [0.0, 0.0, 400.0]},
+            "projector": {"position_mm": [150.0, 0.0, 400.0]},
+        },
+        "objects": [{"artefact": "plane", "material": "matt-white-spray"}],
+        "patterns": {"sequence": "1,8", "shifts": 8, "axes": "u"},  # a gamma has harmonics
+    }
+    if "throw_ratio" not in FILES[projector].content["projector"]:
+        content["projector"] = {"throw_ratio": 1.4}
+    (folder / "shipped.toml").write_text(tomli_w.dumps(content))
+    return folder / "shipped.toml"
+
+
+def test_a_dozen_cameras_and_some_projectors_are_shipped():
+    assert len(CAMERAS) >= 12
+    assert len(PROJECTORS) >= 8
+    assert {"hardware/prosilica-ge680c", "hardware/adimec-q-4a180"} <= set(CAMERAS)
+    assert "hardware/ti-light-commander" in PROJECTORS
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_every_number_has_its_source(name):
+    text = resources.find("scenes", name).read_text(encoding="utf-8")
+    assert len(FILES[name].title) > 20
+    assert text.isascii()
+    numbers = 0
+    for line in text.splitlines():
+        found = LINE.match(line)
+        if found is None:
+            assert not line or line.startswith(("#", "[")), line
+            continue
+        assert found[3], line
+        assert SOURCE.search(found[3]), line
+        numbers += 1
+    table = tomllib.loads(text)
+    assert numbers == sum(len(one) for one in table.values())
+    assert set(table) <= {"camera", "detector", "projector"}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_decibels_are_worked_out(name):
+    text = resources.find("scenes", name).read_text(encoding="utf-8")
+    detector = FILES[name].content["detector"]
+    full = re.search(r"full_well_e = .*?from ([\d.]+) dB of SNR", text)
+    if full:  # rounded to three digits
+        stated = datasheet.saturation_e(float(full[1]))
+        assert detector["full_well_e"] == pytest.approx(stated, rel=5e-3)
+    noise = re.search(r"read_noise_e = .*?from ([\d.]+) (dB|bit) of dynamic range", text)
+    if noise:  # rounded to a tenth of an electron
+        decibels = float(noise[1]) * (20.0 * np.log10(2.0) if noise[2] == "bit" else 1.0)
+        stated = datasheet.dark_noise_e(detector["full_well_e"], decibels)
+        assert detector["read_noise_e"] == pytest.approx(stated, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("name", "active_mm"),
+    [
+        # Active areas by TI's data sheets, within half a column.
+        ("ti-lightcrafter", (6.5718, 3.699)),
+        ("ti-lightcrafter-4500", (9.855, 6.1614)),
+        ("ti-dlp2010", (4.6116, 2.592)),
+        ("ti-dlp3010", (6.912, 3.888)),
+        ("ti-dlp4710", (10.368, 5.832)),
+        ("ti-dlp6500", (14.5152, 8.1648)),
+        ("ti-dlp9000", (19.3536, 12.096)),
+        ("ti-light-commander", (11.059, 8.294)),
+    ],
+)
+def test_panels_have_the_size_of_their_data_sheets(tmp_path, name, active_mm):
+    path = scene_file(tmp_path, "hardware/basler-aca1920-40um", f"hardware/{name}")
+    projector = load_scene(path).rig.projector
+    size = np.multiply((projector.width, projector.height), projector.pitch_mm)
+    np.testing.assert_allclose(size, active_mm, rtol=2e-3)
+
+
+def test_the_diagonals_of_sensors_are_those_of_their_formats():
+    for name in CAMERAS:
+        file = FILES[name]
+        found = re.search(r"([\d/.]+) inch", file.title)
+        if found:
+            size, pitch = (
+                file.content["camera"]["resolution_px"],
+                file.content["camera"]["pitch_um"],
+            )
+            diagonal = 1e-3 * pitch * float(np.hypot(*size))
+            # Sensors of one format differ by some 3 %; the default is a little less than all of it.
+            assert diagonal == pytest.approx(datasheet.format_diagonal_mm(found[1]), rel=0.05), name
+
+
+@pytest.mark.parametrize(
+    ("camera", "projector"),
+    [(name, "hardware/ti-lightcrafter") for name in CAMERAS]
+    + [("hardware/basler-aca1920-40um", name) for name in PROJECTORS],
+)
+@pytest.mark.filterwarnings("ignore:scene shipped. sampling")  # few samples are enough here
+def test_each_device_scans(tmp_path, camera, projector):
+    loaded = load_scene(scene_file(tmp_path, camera, projector))
+    own = FILES[camera].content["detector"]
+    assert isinstance(loaded.detector, Detector)
+    assert loaded.detector.full_well_e == own["full_well_e"]
+    small = loaded.coarser(-(-loaded.rig.camera.width // 64), 4)
+    result = scan(small, seed=0)
+    assert result.truth.lit.sum() > 500  # of some 64 x 40 pixels
+    # A plane: nearly every lit pixel has a point.
+    assert np.isfinite(result.cloud.points).all()
+    assert len(result.cloud.points) > 0.9 * result.truth.lit.sum()
+
+
+def test_hardware_is_found_by_its_name_or_its_path(tmp_path):
+    found = find_hardware("flir-bfs-u3-51s5m", "camera", tmp_path, "--camera")
+    assert found == find_hardware("hardware/flir-bfs-u3-51s5m", "camera", tmp_path, "--camera")
+    (tmp_path / "sub").mkdir()
+    mine = tmp_path / "sub" / "mine.toml"
+    mine.write_text("[camera]\nresolution_px = [64, 48]\npitch_um = 10.0\n")
+    own = find_hardware(str(mine), "camera", tmp_path, "--camera")
+    assert (own.name, own.title) == ("sub/mine.toml", "mine")
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("flir-bfs-u3-51s5", "did you mean 'flir-bfs-u3-51s5m'"),
+        ("ti-dlp2010", "a file with a table [camera], got ti-dlp2010 with [projector]"),
+        ("macro-ch6", "a camera alone (copy a whole rig by slbench scene copy), got macro-ch6"),
+        ("none.toml", "expected a file, got none.toml, which is none"),
+        ("../outside.toml", "a file in the folder of the scene"),
+        ("../../etc/passwd", "a shipped camera"),
+    ],
+)
+def test_what_is_no_camera(tmp_path, monkeypatch, name, words):
+    folder = tmp_path / "scenes"
+    folder.mkdir()
+    (tmp_path / "outside.toml").write_text("[camera]\n")
+    monkeypatch.chdir(folder)
+    with pytest.raises(InputError) as caught:
+        find_hardware(name, "camera", folder, "--camera")
+    assert str(caught.value).startswith("--camera: ")
+    assert words in str(caught.value)
