@@ -3,6 +3,9 @@
 Floating-point contraction and reassociation are allowed; NaN and infinity keep their
 meaning, since they mark pixels that cannot be decoded.
 
+Pixels are counted without sign, ``frames[k, start + i]``.  For an index that could count from the
+end the compiler makes no vector instructions, and every slice of an array takes a locked count.
+
 A loop is compiled once for all types of frames, from an explicit signature: it is given four
 arrays (:func:`by_type`), three of them empty, and only what reads frames exists four times in it.
 """

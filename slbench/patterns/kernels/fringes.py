@@ -94,12 +94,11 @@ def _read(
     The sums are plain, and the Fourier components.  Pixels are flagged that have a value above
     `most`, or none that is a number.
     """
-    stop = start + n
     for k in range(checked.shape[0]):
-        row = frames[checked[k]][start:stop]
+        row = checked[k]
         for i in range(n):
             # The comparison is this way round so that NaN is flagged.
-            flags[i] |= np.uint8(0) if row[i] <= most else np.uint8(1)
+            flags[i] |= np.uint8(0) if frames[row, start + i] <= most else np.uint8(1)
     total, cosine, sine = sums[0], sums[1], sums[2]
     for i in range(n):
         total[i] = 0.0
@@ -108,18 +107,17 @@ def _read(
     # Four frames at a time quarter the traffic of the sums; the last are filled up with
     # repeats of the very last, of weight zero.
     for k in range(0, shifts, 4):
-        row0 = frames[first + k][start:stop]
-        row1 = frames[first + min(k + 1, shifts - 1)][start:stop]
-        row2 = frames[first + min(k + 2, shifts - 1)][start:stop]
-        row3 = frames[first + min(k + 3, shifts - 1)][start:stop]
+        row0, row1 = first + k, first + min(k + 1, shifts - 1)
+        row2, row3 = first + min(k + 2, shifts - 1), first + min(k + 3, shifts - 1)
         c0, c1, c2, c3 = weights[k, 0], weights[k + 1, 0], weights[k + 2, 0], weights[k + 3, 0]
         s0, s1, s2, s3 = weights[k, 1], weights[k + 1, 1], weights[k + 2, 1], weights[k + 3, 1]
         w1 = 1.0 if k + 1 < shifts else 0.0
         w2 = 1.0 if k + 2 < shifts else 0.0
         w3 = 1.0 if k + 3 < shifts else 0.0
         for i in range(n):
-            value0, value1 = np.float64(row0[i]), np.float64(row1[i])
-            value2, value3 = np.float64(row2[i]), np.float64(row3[i])
+            at = start + i
+            value0, value1 = np.float64(frames[row0, at]), np.float64(frames[row1, at])
+            value2, value3 = np.float64(frames[row2, at]), np.float64(frames[row3, at])
             total[i] += (value0 + w1 * value1) + (w2 * value2 + w3 * value3)
             cosine[i] = (cosine[i] + (c0 * value0 + c1 * value1)) + (c2 * value2 + c3 * value3)
             sine[i] = (sine[i] + (s0 * value0 + s1 * value1)) + (s2 * value2 + s3 * value3)
@@ -347,8 +345,8 @@ def decode_fringes(
     flags = np.empty(BLOCK, np.uint8)
     flagged = np.uint8(1) if kind < 2 and most < 0.0 else np.uint8(0)  # no integer is below zero
 
-    for start in range(begin, end, BLOCK):
-        n = min(BLOCK, end - start)
+    for block in range(begin, end, BLOCK):
+        start, n = np.uintp(block), np.uintp(min(BLOCK, end - block))
         for i in range(n):
             flags[i] = flagged
         if unsure:
@@ -431,11 +429,11 @@ def decode_fringes(
             else:
                 for i in range(n):
                     absolute[i] = (reference[start + i] + 0.5) * (TWO_PI / size)
-                one_for_all = reference_sigma.shape[0] == 1
+                each = reference_sigma.shape[0] > 1
                 for i in range(n):
                     # The coarse place is anywhere within its own cell, which tells fringes apart
                     # where it is no wider than one.
-                    known = reference_sigma[0 if one_for_all else start + i]
+                    known = reference_sigma[start + i if each else np.uintp(0)]
                     slack[i] = ROOT_3 * known * ratio / size
                     faults[i] |= 0 if slack[i] <= 0.5 + 1e-9 else _COARSE
             if compares[t]:
@@ -480,7 +478,9 @@ def decode_fringes(
             sigma[start + i] = deviation if fault == 0 else np.nan
         for i in range(n):
             modulation[start + i] = math.sqrt(square[i])
+        for i in range(n):
             mean[start + i] = per_shift * total[i]
+        for i in range(n):
             mask[start + i] = faults[i] == 0
         if dropped.shape[0] > 0:
             for i in range(n):
@@ -500,18 +500,18 @@ def _fit(
         sine[i] = 0.0
         left[i] = 0.0
     for k in range(count):
-        row = frames[first + k][start : start + n]
+        row = first + k
         c, s, w = weights[k, 0], weights[k, 1], weights[k, 2]
         for i in range(n):
-            value = np.float64(row[i])
+            value = np.float64(frames[row, start + i])
             cosine[i] += c * value
             sine[i] += s * value
             mean[i] += w * value
     for k in range(count):
-        row = frames[first + k][start : start + n]
+        row = first + k
         c, s = shown[k, 0], shown[k, 1]
         for i in range(n):
-            off = np.float64(row[i]) - (mean[i] + c * cosine[i] + s * sine[i])
+            off = np.float64(frames[row, start + i]) - (mean[i] + c * cosine[i] + s * sine[i])
             left[i] += off * off
     for i in range(n):
         out[start + i] = math.sqrt(left[i] / (count - 3))
@@ -560,8 +560,8 @@ def fit_residual(
     """
     frames8, frames16, frames32, frames64 = frames
     sums = np.empty((4, BLOCK + PAD))
-    for start in range(begin, end, BLOCK):
-        n = min(BLOCK, end - start)
+    for block in range(begin, end, BLOCK):
+        start, n = np.uintp(block), np.uintp(min(BLOCK, end - block))
         if kind == 0:
             _fit(frames8, first, weights, shown, start, n, sums, residual)
         elif kind == 1:
