@@ -21,8 +21,8 @@ from slbench.patterns.phase import (
     unwrap_spatially,
 )
 from slbench.patterns.registry import pattern_codes
-from slbench.patterns.response import Response
 from slbench.patterns.sequence import Frame, PatternSequence
+from slbench.rig.response import Response
 
 __all__ = [
     "MIN_MODULATION_DN",

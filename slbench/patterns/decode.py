@@ -21,8 +21,8 @@ from slbench.core.show.drawing import figure
 from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observed, Rule
 from slbench.patterns.crosstalk import amplified, carried_sigma, unmixed
 from slbench.patterns.noise import NoiseModel
-from slbench.patterns.response import Response
 from slbench.patterns.sequence import PatternSequence
+from slbench.rig.response import Response
 
 #: Least modulation of a measured pixel, DN, unless said otherwise.
 MIN_MODULATION_DN = 3.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slbench.core.validation.types import Share
 from slbench.patterns.base import Axis, Code, FloatArray, Panel
-from slbench.patterns.response import Response
+from slbench.rig.response import Response
 
 _WORDS = {"white": 1.0, "black": 0.0}
 

@@ -6,16 +6,20 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.core.validation.types import PanelBits, Positive
 from slbench.core.validation.values import checked
+from slbench.rig.response import Response, ResponseCurve
 
 
 @checked
 def panel_response(
-    values: ArrayLike, bit_depth: PanelBits | None = None, gamma: Positive = 1.0
+    values: ArrayLike,
+    bit_depth: PanelBits | None = None,
+    gamma: Positive = 1.0,
+    curve: ResponseCurve | None = None,
 ) -> NDArray[np.float64]:
     """Return the radiance that panel values give, as a fraction of full white.
 
-    The value is quantised to the panel's levels and then raised to the power `gamma`.  A
-    micromirror device is linear (gamma 1).
+    The value is quantised to the panel's levels and then raised to the power `gamma`, or taken
+    through a measured curve.  A micromirror device is linear (gamma 1).
 
     Parameters
     ----------
@@ -25,6 +29,8 @@ def panel_response(
         Bits a pixel, 1..16; None for a panel without quantisation.
     gamma : float
         Exponent > 0.
+    curve : tuple of (value, radiance), optional
+        Measured, in the place of gamma (:class:`~slbench.rig.response.Response`).
 
     Returns
     -------
@@ -41,4 +47,5 @@ def panel_response(
     if bit_depth is not None:
         top = 2**bit_depth - 1
         value = np.rint(value * top) / top
-    return value if gamma == 1.0 else value**gamma
+    response = Response(gamma, curve)
+    return value if response.linear else response.light(value)

@@ -54,6 +54,7 @@ from slbench.rig.distortion import (
 )
 from slbench.rig.lens import Lens
 from slbench.rig.pose import Pose, box_corners, product
+from slbench.rig.response import Response, ResponseCurve
 from slbench.rig.shading import least_shading, shading
 from slbench.rig.spread import Spread
 
@@ -473,11 +474,27 @@ class Projector(Device):
         Grey levels of the panel, 2^bit_depth; None is a continuous panel.
     gamma : float
         Radiance is ``value ** gamma``; 1 is linear, as a DMD is.
+    curve : tuple of (value, radiance), optional
+        Measured, in the place of gamma (:class:`~slbench.rig.response.Response`).
     """
 
     flux_w: Measure = 1.0
     bit_depth: PanelBits | None = 8
     gamma: Measure = 1.0
+    curve: ResponseCurve | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.response  # which checks the curve
+
+    @property
+    def response(self) -> Response:
+        """What light the panel makes of a value: the curve, or gamma where there is none."""
+        return Response(self.gamma, self.curve)
+
+    def linear(self) -> Self:
+        """Return the projector with a panel of continuous values and a linear response."""
+        return replace(self, bit_depth=None, gamma=1.0, curve=None)
 
     @property
     def axial_intensity(self) -> float:

@@ -8,7 +8,8 @@ apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers
 ``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
 ``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``name_*``,
 ``fill_factor_camera``, ``shading_camera``, ``flux_w``,
-``bit_depth_projector``, ``gamma_projector``, ``volume_mm``.  Where the parameters' covariance is
+``bit_depth_projector``, ``gamma_projector``, ``response_projector`` (rows of value and radiance, in
+the place of gamma), ``volume_mm``.  Where the parameters' covariance is
 known, ``covariance_names`` and ``covariance`` have it (:mod:`slbench.rig.parameters`).  Other
 entries are left alone, unless they are almost one of these.  ``docs/reference/rig-files.md`` has
 units and defaults.
@@ -57,7 +58,7 @@ _ENTRIES = (
     *(f"{stem}_{name}" for stem in _OF_DEVICES for name in ALONE),
     *("R", "T", "R_world", "T_world", "fill_factor_camera", "shading_camera"),
     *("flux_w", "bit_depth_projector"),
-    *("gamma_projector", "volume_mm", "covariance_names", "covariance"),
+    *("gamma_projector", "response_projector", "volume_mm", "covariance_names", "covariance"),
 )
 #: Letters of an entry, and its likeness to one of ours, from which it is a slip of it; and its
 #: likeness where the device's name is misspelt.
@@ -82,6 +83,8 @@ _KEYS = {
     "flux_w": "flux_w",
     "bit_depth": "bit_depth_{}",
     "gamma": "gamma_{}",
+    "value": "response_{}",
+    "radiance": "response_{}",
     "volume": "volume_mm",
     "body_mm": "body_mm_{}",
     "devices": "name_{}",
@@ -180,6 +183,13 @@ class _Values:
 
     def number(self, key: str, default: float) -> float:
         return float(self.array(key, (1,), default)[0])
+
+    def pairs(self, key: str) -> tuple[tuple[float, float], ...] | None:
+        if self.values.get(key) is None:
+            return None
+        count = np.size(self.values[key])
+        rows = self.array(key, (max(count + count % 2, 4),)).reshape(-1, 2)
+        return tuple((float(a), float(b)) for a, b in rows)
 
     def whole(self, key: str, default: int) -> int:
         value = self.number(key, default)
@@ -356,6 +366,7 @@ def rig_of(
         "flux_w": values.number("flux_w", 1.0),
         "bit_depth": values.whole("bit_depth_projector", 8) or None,
         "gamma": values.number("gamma_projector", 1.0),
+        "curve": values.pairs("response_projector"),
     }
     with _blaming_the_file(values, "camera"):
         camera = Camera(**camera_arguments, pose=camera_pose)

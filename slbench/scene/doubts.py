@@ -55,6 +55,8 @@ def scene_doubts(scene: Scene, tables: SceneTables) -> Iterator[tuple[str, str]]
     if tables.rig.file is None:  # that of a file was questioned as it was read
         yield from rig_doubts(rig)
         yield from _lens_doubts(rig, tables)
+    if tables.projector is not None and tables.projector.response and rig.projector.gamma != 1.0:
+        yield "projector.gamma", 'not used beside a response (to take that out: response = "")'
     if isinstance(scene.detector, Detector) and (doubt := converter_doubt(scene.detector)):
         yield "detector.gain_e_per_dn", doubt
     for index, item in enumerate(scene.objects):

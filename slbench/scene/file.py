@@ -40,6 +40,7 @@ from slbench.patterns.given import PatternsTable
 from slbench.rig import VOLUME_MM, Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.files.entries import rig_entries
 from slbench.rig.opencv import rig_of
+from slbench.rig.response import Response
 from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
 from slbench.scene.calibration import Calibration, read_calibration
 from slbench.scene.changes import (
@@ -188,6 +189,7 @@ def _scene(
     """Return the scene of a merged content."""
     content = apply_changes(content, changes)
     with naming_changes(path.name, changes):
+        content = _with_curve(content, path)
         file = validated(tables_of(content), content, path.name, separator=": ")
         if changes:  # for whoever asks where a result comes from
             content["set"] = listed(changes)
@@ -230,6 +232,7 @@ def extended(
     content = dict(content)
     base = content.pop("extends", None)
     own_changes = _own_changes(content.pop("set", {}), f"{path.name}: set")
+    content = _with_curve(content, path)
     merged = content if base is None else _with_base(content, base, path, allow_modules, seen)
     merged = apply_changes(merged, own_changes) if own_changes else merged
     names = content.get("modules", ())
@@ -237,6 +240,22 @@ def extended(
     before = () if base is None else merged.get("modules", ())
     merged.pop("modules", None)
     return merged | {"modules": (*before, *own)} if before or own else merged
+
+
+def _with_curve(content: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return content with the curve of the projector's response that it names a file of.
+
+    The file is relative to the scene that names it, whatever extends that; what was read goes
+    with the scene into all that is made of it.
+    """
+    projector = content.get("projector")
+    given = projector.get("response") if isinstance(projector, dict) else None
+    if not isinstance(given, str):
+        return content
+    with located(f"{path.name}: projector.response"):
+        curve = Response.read(resources.inside(path.parent, given)).curve
+    rows = [list(pair) for pair in curve or ()]
+    return content | {"projector": {**content["projector"], "response": rows}}
 
 
 def _own_changes(table: Any, where: str) -> tuple[Change, ...]:

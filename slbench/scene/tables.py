@@ -31,6 +31,7 @@ from slbench.core.validation.types import (
 )
 from slbench.patterns.given import PatternsTable
 from slbench.rig import Pose, Rig
+from slbench.rig.response import ResponseCurve
 from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
 
 
@@ -95,6 +96,7 @@ class ProjectorBeside(LensBeside):
     flux_w: Measure | None = None
     bit_depth: Annotated[int, Field(ge=0, le=16)] | None = None
     gamma: Measure | None = None
+    response: ResponseCurve | None = None
 
     def stated(self, role: str, entries: Mapping[str, Any]) -> dict[str, Any]:
         """Return what is stated, as entries of a rig's file."""

@@ -132,12 +132,12 @@ def _emitted(
     sequence: PatternSequence, indices: NDArray[np.intp], along: Variation, projector: Projector
 ) -> NDArray[np.float64]:
     """Return what the panel emits in frames, as their channels of the camera see it."""
+    panel = projector.bit_depth, projector.gamma, projector.curve
     if sequence.crosstalk is None:
-        shown = sequence.shown(indices, along)
-        return panel_response(shown, projector.bit_depth, projector.gamma)
+        return panel_response(sequence.shown(indices, along), *panel)
     firsts = np.unique(indices - indices % sequence.channels)
     whole = (firsts[:, np.newaxis] + np.arange(sequence.channels)).ravel()
-    shown = panel_response(sequence.shown(whole, along), projector.bit_depth, projector.gamma)
+    shown = panel_response(sequence.shown(whole, along), *panel)
     return mixed(shown, sequence.crosstalk)[np.searchsorted(whole, indices)]
 
 

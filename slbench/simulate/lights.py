@@ -2,8 +2,8 @@
 
 Light transport depends on objects, materials, optics and poses, bounces, ambient light and samples.
 It does not depend on detector, exposure, vibration, patterns (but for the axes that they vary
-along) and on what the panel makes of a value (bit depth, gamma): scenes that differ in these alone
-are seen in the same light.  Ground truth depends on objects and rig alone.
+along) and on what the panel makes of a value (bit depth, response): scenes that differ in these
+alone are seen in the same light.  Ground truth depends on objects and rig alone.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def truth_key(scene: Scene) -> Hashable:
 def _seen(rig: Rig) -> Hashable:
     """Return a rig without what comes before the panel's light and after the lens."""
     camera = replace(rig.camera, fill_factor=1.0)
-    projector = replace(rig.projector, bit_depth=None, gamma=1.0)
+    projector = rig.projector.linear()
     poses = [device.pose for device in (camera, projector)]
     where = b"".join(p.rotation.tobytes() + p.position.tobytes() for p in poses)
     values = [

@@ -94,9 +94,7 @@ def ideal(scene: Scene, *, lenses: bool = False) -> Scene:
     real = scene.detector if isinstance(scene.detector, Detector) else Detector()
     return replace(
         scene,
-        rig=scene.rig.having(
-            camera=camera, projector=replace(projector, bit_depth=None, gamma=1.0)
-        ),
+        rig=scene.rig.having(camera=camera, projector=projector.linear()),
         focus=scene.focus if lenses else None,
         detector=Detector(
             bit_depth=16,
@@ -143,7 +141,7 @@ def seen(base: Scene, real: Detector, *parts: str, further_e2: float = 0.0) -> S
 
 
 def shown(base: Scene, **changes: Any) -> Scene:
-    """Return an ideal scene with another panel: ``bit_depth``, ``gamma``."""
+    """Return an ideal scene with another panel: ``bit_depth``, ``gamma``, ``curve``."""
     projector = replace(base.rig.projector, **changes)
     return replace(base, rig=base.rig.having(projector=projector))
 
@@ -189,7 +187,8 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
     """
     base, sharp = ideal(scene, lenses=True), ideal(scene)
     projector, camera, real = scene.rig.projector, scene.rig.camera, scene.detector
-    panel = {"bit_depth": projector.bit_depth, "gamma": projector.gamma}
+    bending = {"gamma": projector.gamma, "curve": projector.curve}
+    panel = {"bit_depth": projector.bit_depth} | bending
     lit, sharply_lit = (shown(replace(b, light=scene.light), **panel) for b in (base, sharp))
     found = [
         Source("floor: footprint, square panel pixels", "steady", base),
@@ -208,9 +207,9 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
     if projector.bit_depth is not None:
         coarse = shown(base, bit_depth=projector.bit_depth)
         found.append(Source(f"panel of {projector.bit_depth} bit", "steady", coarse))
-    if projector.gamma != 1.0:
-        bent = shown(base, gamma=projector.gamma)
-        found.append(Source(f"response, gamma {projector.gamma:g}", "steady", bent))
+    if not projector.response.linear:
+        words = f"gamma {projector.gamma:g}" if projector.curve is None else "a measured curve"
+        found.append(Source(f"response, {words}", "steady", shown(base, **bending)))
     if scene.light.bounces:
         name = f"interreflections, {scene.light.bounces} bounces"
         lone = replace(base, light=Light(bounces=scene.light.bounces))

@@ -11,7 +11,7 @@ import tomli_w
 from slbench.calibration.characterise.measure import Characterisation
 from slbench.core.io import OutputFolder, files_beside, write_json, write_table
 from slbench.core.io.atomic import write_bytes
-from slbench.patterns.response import COLUMNS
+from slbench.rig.response import COLUMNS
 
 #: Significant figures of a number.
 _FIGURES = 5
@@ -35,10 +35,19 @@ def hardware_text(found: Characterisation) -> str:
     ]
     tables: dict[str, list[str]] = {}
     others = []
+    light = found.curve
+    rows = None if light is None else light.response().curve
     for one in found.quantities:
         interval = f"{one.low:.4g} to {one.high:.4g}" + (f" {one.unit}" if one.unit else "")
         about = f"{interval}; {one.method}" + (f"; {one.note}" if one.note else "")
-        if one.key:
+        if one.key == ("projector", "gamma") and light is not None and rows is not None:
+            within = f"within {100.0 * float(np.max(light.half_width)):.2g} % of white"
+            own = [
+                f"# response, no gamma ({one.value:.4g} is nearest): {within}; {about}",
+                f"response = [{', '.join(f'[{v:g}, {r:.7g}]' for v, r in rows)}]",
+            ]
+            tables.setdefault("projector", []).extend(own)
+        elif one.key:
             table, key = one.key
             own = [f"# {one.name}: {about}", f"{key} = {_number(one.value)}"]
             tables.setdefault(table, []).extend(own)

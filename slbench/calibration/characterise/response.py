@@ -30,7 +30,7 @@ from slbench.calibration.characterise.quantity import (
 )
 from slbench.capture.capture import Capture
 from slbench.patterns import Fringes
-from slbench.patterns.response import Response
+from slbench.rig.response import Response
 
 Array = NDArray[np.float64]
 
@@ -48,6 +48,8 @@ _LIT = 0.1
 _PANEL = 1e-3
 #: How far a curve is off the best gamma, of full white, to be called another.
 _OFF = 0.02
+#: Digits of a curve in a file, and its least step.
+_DIGITS, _STEP = 7, 1e-6
 
 
 class Curve(NamedTuple):
@@ -66,8 +68,9 @@ class Curve(NamedTuple):
         """Return the curve for decoding and for pictures; that of gamma where it fits."""
         if np.max(np.abs(self.radiance - self.value**self.gamma)) < _OFF:
             return Response(self.gamma)
-        grown = np.maximum.accumulate(self.radiance + 1e-9 * np.arange(len(self.radiance)))
-        pairs = zip(self.value.tolist(), grown.tolist(), strict=True)
+        # It grows at every step, with the digits that a file has.
+        grown = np.maximum.accumulate(self.radiance) + _STEP * np.arange(len(self.radiance))
+        pairs = zip(self.value.tolist(), np.round(grown, _DIGITS).tolist(), strict=True)
         return Response(curve=tuple(pairs))
 
 

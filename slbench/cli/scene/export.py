@@ -57,6 +57,7 @@ def export(
             ),
         )
     projector = loaded.rig.projector
-    panel = panel_response(loaded.sequence.image(frame), projector.bit_depth, projector.gamma)
+    bits, gamma, curve = projector.bit_depth, projector.gamma, projector.curve
+    panel = panel_response(loaded.sequence.image(frame), bits, gamma, curve)
     for written in export_xml(loaded, path, panel):
         print(written)

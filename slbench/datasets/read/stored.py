@@ -205,7 +205,7 @@ class Sample:
         ).sequence
         scene, rig = self._settings, self._settings.rig
         if gamma is not None:
-            rig = rig.having(projector=replace(rig.projector, gamma=gamma))
+            rig = rig.having(projector=replace(rig.projector, gamma=gamma, curve=None))
         return capture(
             self.transport,
             shown,

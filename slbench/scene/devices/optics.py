@@ -30,6 +30,7 @@ from slbench.core.validation.types import (
     TiltDegrees,
 )
 from slbench.rig import Lens
+from slbench.rig.response import ResponseCurve
 from slbench.scene.devices import datasheet
 from slbench.scene.devices.datasheet import Micromirrors
 
@@ -186,6 +187,8 @@ class ProjectorOptics(Optics):
     flux_w: Measure = 1.0
     bit_depth: Annotated[int, Field(ge=0, le=16)] = 8
     gamma: Measure = 1.0
+    # In the place of gamma; a file of it is read first (slbench.scene.file.extended).
+    response: ResponseCurve | None = None
     # By the data sheets of panel and projector:
     micromirror_um: Measure | None = None
     panel_inch: Measure | None = None
@@ -239,4 +242,4 @@ class ProjectorOptics(Optics):
         """Return the arguments of Projector, focused at `distance_mm` by default."""
         flux = self.flux_w if self.flux_lm is None else datasheet.radiant_flux_w(self.flux_lm)
         light = {"flux_w": flux, "bit_depth": self.bit_depth or None, "gamma": self.gamma}
-        return super().arguments(distance_mm) | light
+        return super().arguments(distance_mm) | light | {"curve": self.response}

@@ -113,7 +113,7 @@ def variations(
     """
     base, real = ideal(scene), detector_of(scene)
     shot = seen(base, real, "shot")
-    linear = replace(scene.rig.projector, bit_depth=None, gamma=1.0)
+    linear = scene.rig.projector.linear()
     lenses = scene.rig.having(projector=linear)
     albedo = scene.objects[0].material.bsdf.model_dump()["albedo"]  # of a diffuse spray
     white = float(np.median(transport.white()[transport.white() > 0]))

@@ -25,9 +25,9 @@ from slbench.objects import load_artefact
 from slbench.patterns import Fringes, NoiseModel, PatternSequence, pattern_codes
 from slbench.patterns.given import PatternsTable
 from slbench.patterns.images import Images
-from slbench.patterns.response import Response
 from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
+from slbench.rig.response import Response
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 from slbench.scene.new.devices import Lenses
 from slbench.scene.new.place import Place
