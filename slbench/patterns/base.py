@@ -195,7 +195,10 @@ class Code(Value, ABC):
             alone = along in ("u", "v")
             shown = self.profile(k, extent(panel, along)) if alone else self.image(k, panel)  # type: ignore[arg-type]
             if not np.all((shown == 0.0) | (shown == 1.0)):
-                expected = "fringes and codes of black and white, or pictures that undo it"
+                expected = (
+                    "fringes, codes of black and white and those decoded by matching, "
+                    "or pictures that undo it"
+                )
                 raise InputError("response", expected, f"{self.kind}, which is grey")
         return frames
 
@@ -402,6 +405,8 @@ class Observed:
         Largest residual of a fringe order that is believed, turns.
     keep_relative, keep_evidence : bool
         Whether :attr:`Found.relative` and :attr:`Found.evidence` are wanted.
+    response : Response or None
+        Of the projector, for codes whose frames are not straightened (:meth:`Code.straightened`).
     """
 
     pixels: NDArray[Any]
@@ -415,6 +420,7 @@ class Observed:
     max_order_residual: float
     keep_relative: bool
     keep_evidence: bool
+    response: Response | None = None
 
     __repr__ = brief
 

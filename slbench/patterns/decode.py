@@ -216,7 +216,7 @@ def decode(
         a half believes all.
     response : Response, optional
         Of the projector, where it is not linear: fringes are decoded as if it were
-        (:mod:`slbench.patterns.response`).
+        (:mod:`slbench.patterns.response`), other codes matched with the light that it makes.
     keep_relative : bool
         Keep the relative phases too.
     keep_evidence : bool
@@ -266,6 +266,7 @@ def decode(
         max_order_residual=max_order_residual,
         keep_relative=keep_relative,
         keep_evidence=keep_evidence,
+        response=response,
     )
     runs = sequence.runs()
     # One look at every frame is enough: the run that decides the first axis takes it.

@@ -8,6 +8,7 @@ from slbench.capture.shown import pictures
 from slbench.core.errors import InputError
 from slbench.core.io import write_table
 from slbench.patterns import NoiseModel, PatternSequence, Response, decode
+from slbench.patterns.images import Images
 
 PANEL = (640, 480)
 #: An S, steep in the middle, that is not its own mirror: three shifts see such a one as straight.
@@ -127,3 +128,56 @@ def test_a_curve_that_is_none_is_refused_with_its_file(rows, said, tmp_path):
     with pytest.raises(InputError, match=said) as refused:
         Response.read(tmp_path / "curve.csv")
     assert "curve.csv" in str(refused.value)
+
+
+def matched_frames(text, response, axis="u"):
+    """Return noise-free frames of a code at whole panel places, (N, 1, P), and the places."""
+    sequence = PatternSequence.parse(text, PANEL, axes=axis)
+    size = sequence.size(axis)
+    shown = np.array([f.part.profile(f.index, size) for f in sequence.frames()])
+    places = np.arange(20, size - 20)
+    return (
+        (10.0 + 200.0 * response.light(np.clip(shown, 0.0, 1.0)))[:, None, places],
+        sequence,
+        places,
+    )
+
+
+@pytest.mark.parametrize("name", RESPONSES)
+@pytest.mark.parametrize(
+    ("text", "axis"),
+    [("micro", "u"), ("hamiltonian6", "v"), ("speckle12", "u"), ("orders16@4+16@4", "u")],
+)
+def test_codes_are_matched_with_the_light_that_a_response_makes(name, text, axis):
+    response = RESPONSES[name]
+    frames, sequence, places = matched_frames(text, response, axis)
+    noise = NoiseModel(read_dn=0.5, step_dn=0.0)
+    options = {"noise": noise, "saturation": 1e9}
+    found = decode(frames, sequence, response=response, **options)
+    error = found.coordinate[axis][0] - places
+    mask = found.mask[0]
+    assert mask.mean() > 0.95
+    # Without noise a place is the best of all, to single precision and what a parabola leaves.
+    assert np.max(np.abs(error[mask])) < 0.05
+    if name != "linear":
+        bent = decode(frames, sequence, **options)
+        wrong = ~(np.abs(bent.coordinate[axis][0] - places) < 0.05)
+        assert wrong.mean() > 0.1
+
+
+def test_pictures_over_the_whole_panel_are_matched_so_too():
+    response = Response(2.2)
+    shown = np.random.default_rng(1).integers(0, 256, (24, 48, 64), np.uint8)
+    sequence = PatternSequence((64, 48), (Images(shown, "uv"),))
+    frames = 10.0 + 200.0 * response.light(shown / 255.0)
+    noise = NoiseModel(read_dn=0.5, step_dn=0.0)
+    left = [
+        decode(
+            frames, sequence, noise=noise, saturation=1e9, response=own, keep_evidence=True
+        ).evidence[0]["fit_residual_dn"]
+        for own in (response, None)
+    ]
+    # The best place leaves nothing but single precision; without the response it leaves what is
+    # no line of gamma: several DN.
+    assert np.median(left[0]) < 0.01
+    assert np.median(left[1]) > 1.0

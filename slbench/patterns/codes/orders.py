@@ -76,10 +76,12 @@ class PhaseCodedOrders(MatchedCode):
 
     @classmethod
     def decode_run(cls, run: Run, observed: Observed, found: Mapping[Axis, Found]) -> Decoded:
-        """Decode a stair alone by its phase, several or one after a coarser code by matching."""
+        """Decode a stair alone by its phase, what else there is by matching."""
         (axis,) = run.axes
         code = run.parts[0].code
-        if len(run.parts) > 1 or axis in found or not isinstance(code, PhaseCodedOrders):
+        straight = observed.response is None  # else its phases are not those of its steps
+        alone = len(run.parts) == 1 and axis not in found and straight
+        if not (alone and isinstance(code, PhaseCodedOrders)):
             return super().decode_run(run, observed, found)
         from slbench.patterns.kernels.blocks import LEAST
         from slbench.patterns.kernels.periodic import in_quadrature, on_steps

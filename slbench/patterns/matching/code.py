@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
 from slbench.patterns.base import (
@@ -22,6 +23,7 @@ from slbench.patterns.base import (
     extent,
 )
 from slbench.patterns.matching.vectors import CodeVectors, Nuisance
+from slbench.rig.response import Response
 
 #: Share of the places that may show what another part of the panel shows, and what is another part.
 _MOST_REPEATED, _NEARBY = 0.95, 0.02
@@ -41,12 +43,18 @@ class MatchedCode(Code):
         """What is unknown of a pixel beside its place: a gain and an offset, by default."""
         return Nuisance()
 
+    def straightened(
+        self, frames: NDArray[Any], panel: Panel, response: Response, saturation: float
+    ) -> NDArray[Any]:
+        """Return the frames themselves: they are matched with the light that the response makes."""
+        return frames
+
     @classmethod
-    def vectors(cls, run: Run) -> CodeVectors:
-        """Return the code vectors of a run along its one axis."""
+    def vectors(cls, run: Run, response: Response | None = None) -> CodeVectors:
+        """Return the code vectors of a run along its one axis, as a projector shows them."""
         size = extent(run.panel, run.axes[0])
         profiles = [
-            np.array([placed.code.profile(k, size) for k in range(len(placed.frames))])
+            _lit([placed.code.profile(k, size) for k in range(len(placed.frames))], response)
             for placed in run.parts
         ]
         return vectors_of_parts(profiles, run.parts[0].code)
@@ -66,7 +74,7 @@ class MatchedCode(Code):
         if coarse is not None:
             known = np.where(coarse.mask, coarse.coordinate, np.nan)
             near = (known, coarse.sigma)
-        result = match(pixels, cls.vectors(run), observed.noise, near)
+        result = match(pixels, cls.vectors(run, observed.response), observed.noise, near)
         mean: FloatArray = pixels.mean(axis=0, dtype=np.float64)
         modulation = 0.5 * result.gain
         noise = np.sqrt(observed.noise.variance(mean))
@@ -140,7 +148,8 @@ def _decode_plane(run: Run, observed: Observed) -> Decoded:
     mean: FloatArray = pixels.mean(axis=0, dtype=np.float64)
     noise = np.sqrt(observed.noise.variance(mean))
     least = np.maximum(observed.min_modulation, observed.min_snr * noise)
-    result = match_plane(pixels, np.array(images), observed.noise, 2.0 * least)
+    shown = _lit(images, observed.response)
+    result = match_plane(pixels, shown, observed.noise, 2.0 * least)
     modulation = 0.5 * result.gain
     good = modulation >= least
     evidence: dict[int, dict[str, Any]] = {}
@@ -161,6 +170,12 @@ def _decode_plane(run: Run, observed: Observed) -> Decoded:
         )
         for axis in run.axes
     }
+
+
+def _lit(shown: Sequence[FloatArray], response: Response | None) -> FloatArray:
+    """Return the light of pattern values."""
+    values = np.array(shown)
+    return values if response is None else response.light(np.clip(values, 0.0, 1.0))
 
 
 def vectors_of_parts(profiles: Sequence[FloatArray], code: Code) -> CodeVectors:
