@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import ceil, inf, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from slbench.patterns import (
     NoiseModel,
     PatternSequence,
     PhaseMap,
+    Response,
     decode,
     decoded_by,
 )
@@ -71,6 +73,7 @@ def noise_free_coordinates(
     projector: Projector,
     weights: FusionWeights | None = None,
     decoder: Decoder | None = None,
+    response: Response | None = None,
 ) -> dict[Axis, Array]:
     """Decode the radiance itself, before the detector: the renderer's own error floor.
 
@@ -87,6 +90,8 @@ def noise_free_coordinates(
         By which the settings are fused, where there are several.
     decoder : callable, optional
         Of the user's own; it gets float32 frames whose full white is 200.
+    response : Response, optional
+        Of the projector, which decoding takes out.
 
     Returns
     -------
@@ -111,7 +116,8 @@ def noise_free_coordinates(
         if decoder is not None:
             return decoded_by(decoder, stack, sequence, "decoder, without noise").coordinate
         exact = NoiseModel(step_dn=0.0)
-        bands.append(decode(stack, sequence, noise=exact, min_modulation=1.0).coordinate)
+        options: dict[str, Any] = {"noise": exact, "min_modulation": 1.0, "response": response}
+        bands.append(decode(stack, sequence, **options).coordinate)
     return {axis: np.concatenate([band[axis] for band in bands]) for axis in bands[0]}
 
 

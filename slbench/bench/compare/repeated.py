@@ -245,6 +245,7 @@ def _bound_px(given: PatternSet, shots: Capture, phase: PhaseMap, flat: NDArray[
         noise=shots.noise or NoiseModel(),
         axis=axis,
         coordinate=place,
+        response=given.response,
     )
     return np.where(np.isfinite(bound), bound, np.nan)
 
@@ -264,7 +265,8 @@ def _floors(
 
     def points(lights: Sequence[LightTransport]) -> Array:
         sequence, projector = scene.sequence, scene.rig.projector
-        coordinates = noise_free_coordinates(lights, sequence, projector, weights, given.decoder)
+        how = (given.decoder, given.response)
+        coordinates = noise_free_coordinates(lights, sequence, projector, weights, *how)
         cloud = reconstruct(scene, phase_map(coordinates, sigma), truth, seed=seed).cloud
         return cloud.image(cloud.points).reshape(-1, 3)[pixels]
 

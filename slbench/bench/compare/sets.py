@@ -18,9 +18,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from slbench.capture.stack import FusedCapture
 from slbench.core.errors import InputError, located
 from slbench.core.random import tagged_seed
+from slbench.core.registry import quoted
+from slbench.core.resources import inside
 from slbench.core.show.display import brief
 from slbench.core.validation.values import checked
 from slbench.patterns import (
@@ -30,6 +34,7 @@ from slbench.patterns import (
     PatternSequence,
     PatternSource,
     PhaseMap,
+    Response,
     decoded_by,
     read_decoder,
     read_patterns,
@@ -57,6 +62,8 @@ class PatternSet:
         What a reader must know of it.
     decoder : callable, optional
         Of the user's own, ``decoder(frames, sequence) -> PhaseMap``, instead of the codes'.
+    response : Response, optional
+        Of the projector, which the codes' decoders take out.
     """
 
     name: str
@@ -64,6 +71,7 @@ class PatternSet:
     exposure_share: float = 1.0
     note: str = ""
     decoder: Decoder | None = None
+    response: Response | None = None
 
     __repr__ = brief
 
@@ -84,7 +92,7 @@ class PatternSet:
     def decode(self, fused: FusedCapture) -> PhaseMap:
         """Return what the set's decoder makes of its frames."""
         if self.decoder is None:
-            return fused.decode()
+            return replace(fused, capture=replace(fused.capture, response=self.response)).decode()
         shots = fused.capture.apart()
         return decoded_by(self.decoder, shots.frames, shots.sequence, f"set {self.name}: decoder")
 
@@ -123,7 +131,9 @@ def pattern_sets(
     ----------
     given : sequence of str, PatternSet and whatever else is a pattern set
         As :func:`slbench.patterns.read_patterns` reads them; what is a set already stays.  Text may
-        end in a decoder of the user's own: ``"1,10,50 | mine.py:decode"``.
+        end in how it is decoded: by the user's own function, ``"1,10,50 | mine.py:decode"``, or
+        with the projector's response taken out, ``"1,10,50 | gamma=2.2"`` and
+        ``"1,10,50 | response=curve.csv"``.
     scene : Scene
         Its panel, and the axes that its own patterns code.
     shifts : int
@@ -174,13 +184,18 @@ def pattern_sets(
 def _read(
     given: PatternSource, scene: Scene, shifts: int, folder: Path | None, allow_modules: bool
 ) -> PatternSet:
-    """Read a set, and the decoder behind a bar."""
+    """Read a set, and how it is decoded behind a bar."""
     text, bar, behind = given.rpartition("|") if isinstance(given, str) else ("", "", "")
-    decoder, suffix = None, ""
+    decoder, response, suffix = None, None, ""
     if bar:
-        where = f"set {given}: decoder"
-        decoder = read_decoder(behind.strip(), folder, allow_modules, where)
-        given, suffix = text, f"|{object_name(behind.strip())}"
+        where, behind = f"set {given}", behind.strip()
+        key, sign, value = (one.strip() for one in behind.partition("="))
+        if sign:
+            response, suffix = _response(key, value, folder, where), f"|{key}={Path(value).name}"
+        else:
+            decoder = read_decoder(behind, folder, allow_modules, f"{where}: decoder")
+            suffix = f"|{object_name(behind)}"
+        given = text
     read = read_patterns(
         *(given, scene.sequence.panel),
         shifts=shifts,
@@ -188,7 +203,21 @@ def _read(
         folder=folder,
         allow_modules=allow_modules,
     )
-    return PatternSet(read.name + suffix, read.sequence, decoder=decoder)
+    return PatternSet(read.name + suffix, read.sequence, decoder=decoder, response=response)
+
+
+def _response(key: str, value: str, folder: Path | None, where: str) -> Response:
+    """Return the response that a set states by ``gamma`` or by a file of its curve."""
+    if key == "response":
+        with located(where):
+            return Response.read(Path(value) if folder is None else inside(folder, value))
+    if key != "gamma":
+        expected = "gamma=2.2, response=curve.csv or mine.py:decode behind the bar"
+        raise InputError(where, expected, quoted(key, ("gamma", "response")))
+    try:
+        return Response(float(value))
+    except ValueError:
+        raise InputError(f"{where}: gamma", "a number > 0", value) from None
 
 
 def _check(one: PatternSet, scene: Scene) -> None:
@@ -199,6 +228,10 @@ def _check(one: PatternSet, scene: Scene) -> None:
         raise InputError("panel", expected, "{} x {} px".format(*one.sequence.panel))
     if one.decoder is None:
         one.sequence.runs()
+        if one.response is not None:
+            for part in one.sequence.parts:
+                dark = np.zeros((part.n_frames(panel), 1), np.float32)
+                part.straightened(dark, panel, one.response, 1.0)
     elif not one.sequence.axes:
         raise InputError("patterns", "a code of one axis at least", one.sequence.name)
 

@@ -20,6 +20,7 @@ from slbench.patterns.crosstalk import mixed
 from slbench.patterns.matching.vectors import EDGE, CodeVectors, Nuisance, blurred
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
+from slbench.rig.response import Response
 from slbench.rig.spread import Spread
 
 
@@ -29,6 +30,7 @@ def sequence_vectors(
     nuisance: Nuisance | None = None,
     spread: Spread | None = None,
     circle_px: float = 0.0,
+    response: Response | None = None,
 ) -> CodeVectors:
     """Return what the camera sees of the places along an axis: frames that vary along it, or not.
 
@@ -44,6 +46,8 @@ def sequence_vectors(
         Line spread of the projector, which blurs what is shown.
     circle_px : float
         Diameter of its circle of confusion, px.
+    response : Response, optional
+        Of the projector; linear by default.
 
     Raises
     ------
@@ -58,6 +62,8 @@ def sequence_vectors(
         )
     size = sequence.size(axis)
     values = np.array([frame.part.profile(frame.index, size) for frame in frames])
+    if response is not None:
+        values = response.light(np.clip(values, 0.0, 1.0))
     if spread is not None:
         values = blurred(values, spread, circle_px)
     if sequence.crosstalk is not None:
@@ -84,6 +90,7 @@ def cramer_rao(
     nuisance: Nuisance | None = None,
     spread: Spread | None = None,
     circle_px: float = 0.0,
+    response: Response | None = None,
 ) -> FloatArray:
     """Return the least standard deviation of a panel coordinate that the frames allow.
 
@@ -104,6 +111,8 @@ def cramer_rao(
         Line spread of the projector, which blurs what is shown.
     circle_px : float
         Diameter of its circle of confusion, px.
+    response : Response, optional
+        Of the projector; linear by default.
 
     Returns
     -------
@@ -117,7 +126,7 @@ def cramer_rao(
         For an axis along which nothing varies.
     """
     vectors = sequence_vectors(
-        sequence, axis or (*sequence.axes, "u")[0], nuisance, spread, circle_px
+        sequence, axis or (*sequence.axes, "u")[0], nuisance, spread, circle_px, response
     )
     places = (
         np.arange(float(vectors.values.shape[1]))
