@@ -147,6 +147,8 @@ def write_rig(path: str | Path, rig: Rig, covariance: ParameterCovariance | None
     }
     if camera.shading:
         values["shading_camera"] = np.array(camera.shading)
+    if projector.curve is not None:
+        values["response_projector"] = np.array(projector.curve)
     if covariance is not None:
         values["covariance_names"] = " ".join(covariance.names)
         values["covariance"] = covariance.matrix

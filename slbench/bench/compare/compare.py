@@ -97,8 +97,8 @@ def compare(
     sets : sequence of str, PatternSet and whatever else is a pattern set
         Such as ``"1,10,50@4"``, ``"gray"``, ``"mine.toml"``, a folder of pictures,
         ``"mine.py:SET"`` (:func:`slbench.patterns.read_patterns`); with a decoder of one's own
-        ``"1,10,50 | mine.py:decode"``, or ``PatternSet("mine", sequence, decoder=decode)``; with the
-        projector's response taken out ``"1,10,50 | gamma=2.2"``.
+        ``"1,10,50 | mine.py:decode"``, or ``PatternSet("mine", sequence, decoder=decode)``; with
+        the projector's response taken out ``"1,10,50 | gamma=2.2"``.
     repeats : int
         Scans a set, at least 2 (15 in thesis 7.2).
     equal : {"frames", "photons"} or None
