@@ -362,12 +362,15 @@ class Run:
     searched : tuple of int
         Frames to search for saturated and non-finite pixels, where the family can do so while
         it reads them anyway; see :attr:`Found.complete`.
+    final : bool
+        Whether no other run along any of its axes follows: what it finds is the result.
     """
 
     parts: tuple[Placed, ...]
     panel: Panel
     unwrap: Unwrap = "auto"
     searched: tuple[int, ...] = ()
+    final: bool = False
 
     __repr__ = brief
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, share
 from slbench.core.show.drawing import figure
+from slbench.core.threads import in_bands
 from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observed, Rule
 from slbench.patterns.crosstalk import amplified, carried_sigma, unmixed
 from slbench.patterns.noise import NoiseModel
@@ -26,6 +27,8 @@ from slbench.rig.response import Response
 
 #: Least modulation of a measured pixel, DN, unless said otherwise.
 MIN_MODULATION_DN = 3.0
+#: Pixels that are worth a thread where their results are only copied.
+_LEAST = 1 << 18
 _FRAME_TYPES = (np.uint8, np.uint16, np.float32, np.float64)
 
 
@@ -276,8 +279,10 @@ def decode(
         for k, frame in enumerate(placed.frames)
         if not placed.code.may_saturate(k)
     )
-    last = max(i for i, run in enumerate(runs) if sequence.axes[0] in run.axes)
-    runs[last] = replace(runs[last], searched=searched)
+    first = sequence.axes[0]
+    for i, run in enumerate(runs):
+        if not any(set(run.axes) & set(later.axes) for later in runs[i + 1 :]):
+            runs[i] = replace(run, final=True, searched=searched if first in run.axes else ())
 
     shape = frames.shape[1:]
     found: dict[Axis, Found] = {}
@@ -390,12 +395,17 @@ def _shared_mask(
 
 def _masked(one: Found, mask: NDArray[np.bool_]) -> Found:
     """Return what was found with coordinate and sigma NaN outside the mask."""
-    if one.complete:  # few pixels are left to mask, and the arrays are the decoder's own
-        one.coordinate[~mask] = np.nan
-        one.sigma[~mask] = np.nan
-        return one
-    coordinate = np.where(mask, one.coordinate, np.nan)
-    return replace(one, coordinate=coordinate, sigma=np.where(mask, one.sigma, np.nan))
+    given = (one.coordinate, one.sigma)
+    own = given if one.complete else (np.empty(mask.shape), np.empty(mask.shape))
+
+    def blank(first: int, last: int) -> None:
+        for source, target in zip(given, own, strict=True):
+            if target is not source:
+                target[first:last] = source[first:last]
+            np.copyto(target[first:last], np.nan, where=~mask[first:last])
+
+    in_bands(blank, len(mask), _LEAST)
+    return replace(one, coordinate=own[0], sigma=own[1])
 
 
 def _flatten(frames: object, sequence: PatternSequence) -> NDArray[Any]:

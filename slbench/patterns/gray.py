@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from math import sqrt
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self, cast
 
@@ -202,7 +201,9 @@ class GrayCode(Code):
             width *= 2.0 ** (len(reflected) - code.use_bits)
             reflected, spare = reflected[: code.use_bits], 1
         n_pixels = pixels.shape[1]
-        place, used = np.empty(n_pixels), np.empty(n_pixels, np.int8)
+        # The rules tell what is off the panel by places that are not masked.
+        final = run.final and not (run.searched or observed.keep_evidence)
+        place, sigma = np.empty(n_pixels), np.empty(n_pixels)
         contrast, mean = np.empty(n_pixels, np.float32), np.empty(n_pixels, np.float32)
         mask = np.empty(n_pixels, dtype=np.bool_)
         given = (
@@ -215,11 +216,12 @@ class GrayCode(Code):
             noise.coefficients,
             np.array([observed.min_modulation**2, observed.min_snr**2]),
             spare,
+            final,
         )
         frames = by_type(pixels)
         in_bands(
             lambda start, stop: decode_gray(
-                *frames, *given, place, used, contrast, mean, mask, start, stop
+                *frames, *given, place, sigma, contrast, mean, mask, start, stop
             ),
             n_pixels,
             LEAST,
@@ -229,9 +231,6 @@ class GrayCode(Code):
             contrasts = _bit_contrast(observed, placed, inverse, threshold)
             evidence = {placed.index: {"bit_contrast": contrasts}}
             dropped = _dropped(observed, placed, contrasts, place, mean, mask)
-        sigma: FloatArray = np.broadcast_to(np.float64(width / sqrt(12.0)), place.shape)
-        if used.min(initial=len(reflected)) < len(reflected):
-            sigma = sigma * 2.0 ** (len(reflected) - used.astype(np.float64))
         return {
             axis: Found(
                 coordinate=place,
@@ -239,6 +238,7 @@ class GrayCode(Code):
                 modulation=contrast,
                 mean=mean,
                 mask=mask,
+                complete=final,
                 evidence=evidence,
                 dropped=dropped,
             )

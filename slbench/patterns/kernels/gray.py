@@ -1,11 +1,14 @@
 """Compiled loop that decodes a Gray or binary code in one pass over its frames."""
 
+import math
 from typing import Any
 
 import numpy as np
-from numba import boolean, float32, float64, int8, int64, njit, void
+from numba import boolean, float32, float64, int64, njit, void
 
 from slbench.patterns.kernels.blocks import BLOCK, FAST, FRAMES, PAD
+
+ROOT_12 = math.sqrt(12.0)
 
 
 @njit(error_model="numpy")
@@ -25,50 +28,17 @@ def _decided(
     return (square >= least_square) & (square >= least_ratio * variance)
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(inline="always", fastmath=FAST, error_model="numpy")
 def _half(frames: Any, lit: int, inverse: bool, threshold: Any, place: int) -> float:
     """Return half the difference between lit and unlit at a pixel, 0 if it is no number."""
     high = float(frames[lit, place])
-    level = threshold[place if threshold.shape[0] > 1 else 0] if not inverse else 0.0
+    level = threshold[place if threshold.shape[0] > 1 else np.uintp(0)] if not inverse else 0.0
     low = float(frames[lit + 1, place]) if inverse else 2.0 * level - high
     half = 0.5 * (high - low)
     return half if half == half else 0.0
 
 
-@njit(fastmath=FAST, error_model="numpy")
-def _add_bit(
-    frames: Any,
-    lit: int,
-    inverse: bool,
-    reflected: float,
-    threshold: Any,
-    start: int,
-    sums: Any,
-    n: int,
-) -> None:
-    """Add the bit that frame `lit` shows to what a block has read so far."""
-    number, state, weakest, second, average = sums[0], sums[1], sums[2], sums[3], sums[4]
-    stop = start + n
-    shown, inverted = frames[lit, start:stop], frames[lit + 1 if inverse else lit, start:stop]
-    constant = threshold.shape[0] == 1
-    for i in range(n):
-        high = float(shown[i])
-        if inverse:
-            low = float(inverted[i])
-        else:
-            low = 2.0 * threshold[0 if constant else start + i] - high
-        half = 0.5 * (high - low)
-        # A reflected bit's binary digit is the running parity of the bits.
-        state[i] = abs(reflected * state[i] - (1.0 if half > 0.0 else 0.0))
-        number[i] = 2.0 * number[i] + state[i]
-        sure = abs(half) if half == half else 0.0
-        second[i] = min(second[i], max(weakest[i], sure))
-        weakest[i] = min(weakest[i], sure)
-        middle = 0.5 * (high + low)
-        average[i] += middle if middle == middle else 0.0
-
-
-@njit(fastmath=FAST, error_model="numpy")
+@njit(inline="always", fastmath=FAST, error_model="numpy")
 def _number(bits: Any, reflected: Any, n: int) -> int:
     """Return the number of the cell that `n` bits code."""
     number, state = 0, 0
@@ -116,6 +86,70 @@ def _resolve(
     return 0
 
 
+@njit(fastmath=FAST, error_model="numpy", no_cpython_wrapper=True)
+def _read(
+    frames: Any, first: int, step: int, inverse: bool, reflected: Any, threshold: Any,
+    cell: float, spare: int, noise: Any, limits: Any, start: int, n: int,
+    number: Any, state: Any, weakest: Any, second: Any, total: Any,
+    middle: Any, width: Any, contrast: Any, average: Any, decided: Any,
+    bits: Any, sure: Any, found: Any,
+) -> None:  # fmt: skip
+    """Decode a block of pixels to cells.
+
+    Writes the middle of the place, in cells, and the panel pixels of such a cell; the
+    contrast that tells how good the place is; the mean; whether there is a place.
+    """
+    real = number.dtype.type
+    zero, half, one, two = real(0.0), real(0.5), real(1.0), real(2.0)
+    n_bits, each = reflected.shape[0], threshold.shape[0] > 1
+    for i in range(n):
+        number[i] = 0.0
+        state[i] = 0.0
+        weakest[i] = np.inf
+        second[i] = np.inf
+        total[i] = 0.0
+    for bit in range(n_bits):
+        running = one if reflected[bit] else zero
+        lit = first + step * bit
+        unlit = lit + 1 if inverse else lit
+        for i in range(n):
+            high = real(frames[lit, start + i])
+            if inverse:
+                low = real(frames[unlit, start + i])
+            else:
+                low = two * real(threshold[start + i if each else np.uintp(0)]) - high
+            apart = half * (high - low)
+            # A reflected bit's binary digit is the running parity of the bits.
+            state[i] = abs(running * state[i] - (one if apart > zero else zero))
+            number[i] = two * number[i] + state[i]
+            clear = abs(apart) if apart == apart else zero
+            second[i] = min(second[i], max(weakest[i], clear))
+            weakest[i] = min(weakest[i], clear)
+            mean = half * (high + low)
+            total[i] += mean if mean == mean else zero
+    least = second if n_bits > 1 else weakest
+    for i in range(n):
+        middle[i] = number[i] + 0.5
+        width[i] = cell
+        contrast[i] = least[i]
+        average[i] = np.float64(total[i]) / n_bits
+    for i in range(n):
+        good = _decided(
+            np.float64(weakest[i]), average[i], noise[0], noise[1], noise[2], limits[0], limits[1]
+        )
+        decided[i] = 1 if good else 0
+    for i in range(n):
+        if decided[i] == 0:
+            used = _resolve(
+                frames, first, step, inverse, reflected, threshold, average[i],
+                noise, limits, start + i, bits, sure, found,
+            )  # fmt: skip
+            if used >= max(n_bits - spare, 1):  # else finer codes judge for themselves
+                middle[i], contrast[i] = found[0], found[1]
+                width[i] = cell * 2.0 ** (n_bits - used)
+                decided[i] = 1
+
+
 @njit(
     void(
         FRAMES,
@@ -129,8 +163,9 @@ def _resolve(
         float64[::1],
         float64[::1],
         int64,
+        boolean,
         float64[::1],
-        int8[::1],
+        float64[::1],
         float32[::1],
         float32[::1],
         boolean[::1],
@@ -154,8 +189,9 @@ def decode_gray(
     noise: Any,
     limits: Any,
     spare: int,
+    final: bool,
     place: Any,
-    used: Any,
+    sigma: Any,
     contrast: Any,
     mean: Any,
     mask: Any,
@@ -185,11 +221,13 @@ def decode_gray(
         Least squared contrast, least squared ratio of contrast to noise.
     spare : int
         Bits at the fine end that may be left out.
+    final : bool
+        Whether place and its deviation are to be NaN outside the mask.
     place : (P,) float64
         Decoded column or row; NaN for a code that the panel does not show.  Written, as are those
         that follow.
-    used : (P,) int8
-        Bits that the place is from.
+    sigma : (P,) float64
+        Standard deviation of the place, that of a uniform error, px: wider where bits are left out.
     contrast : (P,) float32
         Half the difference between lit and unlit, for the second weakest bit, or the weakest of
         those that decide where not all do.
@@ -200,74 +238,40 @@ def decode_gray(
     begin, end : int
     """
     frames8, frames16, frames32, frames64 = frames
-    alpha, beta, offset = noise[0], noise[1], noise[2]
-    least_square, least_ratio = limits[0], limits[1]
     cell, before, size, origin = cells[0], cells[1], cells[2], cells[3]
     n_bits = reflected.shape[0]
-    scratch = np.empty((5, BLOCK + PAD))
-    number, state, weakest = scratch[0], scratch[1], scratch[2]
-    second, average = scratch[3], scratch[4]
+    code = (first, step, inverse, reflected, threshold, cell, spare, noise, limits)
+    # Rows of one array: the compiler knows that they do not overlap.
+    singles, doubles = np.empty((5, BLOCK + PAD), np.float32), np.empty((9, BLOCK + PAD))
+    rows32 = (singles[0], singles[1], singles[2], singles[3], singles[4])
+    rows64 = (doubles[0], doubles[1], doubles[2], doubles[3], doubles[4])
+    middle, width, least, average = doubles[5], doubles[6], doubles[7], doubles[8]
+    decided = np.empty(BLOCK, np.int64)
     bits, sure, found = np.empty(n_bits, np.int64), np.empty(n_bits), np.empty(2)
-    for start in range(begin, end, BLOCK):
-        n = min(BLOCK, end - start)
+    results = (middle, width, least, average, decided, bits, sure, found)
+    for block in range(begin, end, BLOCK):
+        start, n = np.uintp(block), np.uintp(min(BLOCK, end - block))
+        # Single precision holds differences and sums of whole numbers exactly, and a threshold to
+        # 0.002 DN of 65535, a hundredth of what such frames are rounded by.
+        if kind == 0:
+            _read(frames8, *code, start, n, *rows32, *results)
+        elif kind == 1:
+            _read(frames16, *code, start, n, *rows32, *results)
+        elif kind == 2:
+            _read(frames32, *code, start, n, *rows64, *results)
+        else:
+            _read(frames64, *code, start, n, *rows64, *results)
         for i in range(n):
-            number[i] = 0.0
-            state[i] = 0.0
-            weakest[i] = np.inf
-            second[i] = np.inf
-            average[i] = 0.0
-        for bit in range(n_bits):
-            lit = first + step * bit
-            running = 1.0 if reflected[bit] else 0.0
-            if kind == 0:
-                _add_bit(frames8, lit, inverse, running, threshold, start, scratch, n)
-            elif kind == 1:
-                _add_bit(frames16, lit, inverse, running, threshold, start, scratch, n)
-            elif kind == 2:
-                _add_bit(frames32, lit, inverse, running, threshold, start, scratch, n)
-            else:
-                _add_bit(frames64, lit, inverse, running, threshold, start, scratch, n)
+            begins = max((middle[i] - 0.5) * width[i], before)
+            ends = min((middle[i] + 0.5) * width[i], before + size)
+            good = (decided[i] != 0) & (begins < ends)
+            told = good if final else begins < ends
+            place[start + i] = 0.5 * (begins + ends) + origin if told else np.nan
+            sigma[start + i] = width[i] / ROOT_12 if good | (not final) else np.nan
+            decided[i] = 1 if good else 0
         for i in range(n):
-            average[i] /= n_bits
+            mask[start + i] = decided[i] != 0
         for i in range(n):
-            good = _decided(weakest[i], average[i], alpha, beta, offset, least_square, least_ratio)
-            mask[start + i] = good
+            contrast[start + i] = least[i]
         for i in range(n):
-            at = start + i
-            count, middle = n_bits, number[i] + 0.5
-            least = second[i] if n_bits > 1 else weakest[i]
-            if not mask[at]:
-                if kind == 0:
-                    count = _resolve(
-                        frames8, first, step, inverse, reflected, threshold, average[i],
-                        noise, limits, at, bits, sure, found,
-                    )  # fmt: skip
-                elif kind == 1:
-                    count = _resolve(
-                        frames16, first, step, inverse, reflected, threshold, average[i],
-                        noise, limits, at, bits, sure, found,
-                    )  # fmt: skip
-                elif kind == 2:
-                    count = _resolve(
-                        frames32, first, step, inverse, reflected, threshold, average[i],
-                        noise, limits, at, bits, sure, found,
-                    )  # fmt: skip
-                else:
-                    count = _resolve(
-                        frames64, first, step, inverse, reflected, threshold, average[i],
-                        noise, limits, at, bits, sure, found,
-                    )  # fmt: skip
-                if count >= max(n_bits - spare, 1):
-                    middle, least = found[0], found[1]
-                    mask[at] = True
-                else:  # finer codes judge for themselves
-                    count = n_bits
-            wide = cell * 2.0 ** (n_bits - count)
-            begins = max((middle - 0.5) * wide, before)
-            ends = min((middle + 0.5) * wide, before + size)
-            on_panel = begins < ends
-            used[at] = count
-            place[at] = 0.5 * (begins + ends) + origin if on_panel else np.nan
-            mask[at] &= on_panel
-            contrast[at] = least
-            mean[at] = average[i]
+            mean[start + i] = average[i]
