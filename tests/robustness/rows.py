@@ -29,6 +29,7 @@ from slbench.core.registry import resolved
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
 from slbench.rig.files.writing import write_calibration
+from slbench.scene.file import read_merged
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.transport import LightTransport
 
@@ -118,9 +119,27 @@ def scene(folder: Path) -> None:
 
 def designed_scene(folder: Path) -> None:
     """Make a scene with all of its rig spelt out."""
-    hardware = tomllib.loads(resources.find("scenes", "hardware/macro-ch6").read_text())
+    hardware = read_merged(resources.find("scenes", "hardware/macro-ch6"))
     content = {k: v for k, v in hardware.items() if k != "design"} | SCENE
     content["camera"] = hardware["camera"] | SCENE["camera"]
+    del content["extends"]
+    (folder / "scene.toml").write_text(tomli_w.dumps(content))
+
+
+def sheet_scene(folder: Path) -> None:
+    """Make a scene whose devices are described by their data sheets."""
+    content = SCENE | {
+        "camera": {"resolution_px": [24, 18], "sensor_format": "1/2", "lens_format": "2/3"}
+        | {"lens_mm": 16.0, "lens_f_number": 4.0},
+        "projector": {"resolution_px": [608, 684], "micromirror_um": 7.637}
+        | {"micromirrors": "diamond", "throw_ratio": 1.66, "zoom": 1.1}
+        | {"offset_percent": 10.0, "flux_lm": 20.0},
+        "detector": {"snr_max_db": 40.3, "dynamic_range_db": 71.2},
+        "rig": {
+            "camera": {"position_mm": [0.0, 0.0, 400.0]},
+            "projector": {"position_mm": [150.0, 0.0, 400.0]},
+        },
+    }
     del content["extends"]
     (folder / "scene.toml").write_text(tomli_w.dumps(content))
 
@@ -300,7 +319,7 @@ def stack(folder: Path) -> None:
 
 def hardware(folder: Path) -> None:
     """Make hardware, configurations, and a front of a search."""
-    content = tomllib.loads(resources.find("scenes", "hardware/macro-ch6").read_text())
+    content = read_merged(resources.find("scenes", "hardware/macro-ch6"))
     (folder / "hw.toml").write_text(tomli_w.dumps(content))
     table = resources.find("scenes", "hardware/macro-ch6").with_name("table4.csv").read_text()
     (folder / "table.csv").write_text("\n".join(table.splitlines()[:3]) + "\n")
@@ -463,6 +482,9 @@ STARTS = {
     "rig convert": "capture/rig.yaml out/rig.yaml",
     "scene show": "missing --out out/a.png",
     "scene list": "",
+    "scene new": "out/a.toml --camera basler-aca1920-40um --projector ti-lightcrafter --lens-mm 25 "
+    "--focus-mm 300 --baseline-mm 110 --object plane --overwrite",
+    "scene copy": "plane out/a.toml --overwrite",
     "objects build": "plane --out out/m.stl",
     "objects show": "missing --out out/a.png",
     "objects list": "--kinds",
@@ -521,6 +543,11 @@ def command_line(random: mutate.Random, folder: Path) -> Case:
 DECODE = "decode capture --out out"
 ROWS: list[Row] = [
     of_file("scene", "scene.toml", "export scene.toml out/a.xml --pinhole", scene, toml_of),
+    of_file(
+        *("scene by data sheets", "scene.toml"),
+        "scan scene.toml --no-score --no-picture --out out",
+        *(sheet_scene, toml_of, 0.7),
+    ),
     of_file(
         *("scene scanned", "scene.toml"),
         "scan scene.toml --no-score --no-picture --out out",

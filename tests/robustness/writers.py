@@ -109,6 +109,10 @@ def need(root: Path, *makers: Callable[[Path], None]) -> None:
 SEEDS = ("--seed", "1"), ("--seed", "2")
 PAIR = ("--set", "1,8", "--set", "1,4")
 FEW = ("--heights", "2", "--max-fringes", "8")
+NEW = (
+    *("--camera", "basler-aca1920-40um", "--projector", "ti-lightcrafter", "--focus-mm", "300"),
+    *("--baseline-mm", "110", "--object", "plane", "--overwrite"),
+)
 
 WRITERS = {
     "scan": Writer(
@@ -204,6 +208,12 @@ WRITERS = {
         (),
         ("--set", "teeth=30"),
         "out.stl",
+    ),
+    "scene new": Writer(
+        lambda i, o: ["scene", "new", o, *NEW],
+        ("--lens-mm", "25"),
+        ("--lens-mm", "35"),
+        "out.toml",
     ),
     "scene show": Writer(
         lambda i, o: ["scene", "show", "--out", o], ("plane",), ("sphere",), "out.png", dear=True

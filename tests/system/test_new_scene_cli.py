@@ -208,6 +208,7 @@ def test_a_file_that_is_there_stays(folder):
         ({"lens_mm": "nan"}, "--lens-mm: expected"),
         ({"angle_deg": 90}, "--angle-deg: expected less than or equal to 80"),
         ({"unit": "km", "object": "part.stl"}, "--unit: expected um or mm or cm"),
+        ({"unit": "m"}, "--unit: expected a mesh file as --object, got step-block-20"),
     ],
 )
 def test_refusals(folder, changes, words):

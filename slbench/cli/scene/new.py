@@ -64,8 +64,9 @@ def new(
         typer.Option("--object", help="A shipped artefact, or a file beside the scene."),
     ] = None,
     unit: Annotated[
-        Literal["um", "mm", "cm", "inch", "m"], typer.Option(help="Of a mesh file.")
-    ] = "mm",
+        Literal["um", "mm", "cm", "inch", "m"] | None,
+        typer.Option(help="Of a mesh file.  [default: mm]"),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
     """Write a scene by what data sheets and a ruler tell.
@@ -117,6 +118,7 @@ def new(
         "--baseline-mm": baseline_mm,
         "--angle-deg": angle_deg,
         "--object": item,
+        "--unit": unit,
     }
     words = [word for key, v in options.items() if v is not None for word in (key, f"{v}")]
     text = new_scene(

@@ -41,6 +41,10 @@ _UNITS = {
     "w": "W",
     "dn": "DN",
     "e": "electrons",
+    "percent": "%",
+    "inch": "inches",
+    "lm": "lm",
+    "db": "dB",
 }
 
 

@@ -33,12 +33,12 @@ class Item:
     ----------
     name : str
         Of a shipped artefact, or a file in the scene's folder: an artefact's, or a mesh.
-    unit : str
-        Of a mesh.
+    unit : str or None
+        Of a mesh; None is mm.
     """
 
     name: str
-    unit: str = "mm"
+    unit: str | None = None
 
     def load(self, folder: Path) -> tuple[Artefact, list[Entry]]:
         """Return the artefact, and the lines that name it in a scene of a folder.
@@ -48,8 +48,10 @@ class Item:
         InputError
             If there is none, or its file stands elsewhere.
         """
-        path = Path(self.name)
-        known = resources.names("objects")
+        path, known = Path(self.name), resources.names("objects")
+        is_mesh = self.name not in known and path.suffix.lower() != ".toml"
+        if self.unit is not None and not is_mesh:
+            raise InputError("--unit", "a mesh file as --object", self.name)
         if self.name in known:
             return objects.load_artefact(self.name), [Entry("artefact", self.name, "--object")]
         if not path.is_file():
@@ -57,13 +59,14 @@ class Item:
         if path.resolve().parent != folder.resolve():
             expected = f"an artefact's name, or a file in the folder of the scene, {folder}"
             raise InputError("--object", expected, self.name)
-        if path.suffix.lower() == ".toml":
+        if not is_mesh:
             return objects.load_artefact(path), [Entry("artefact", path.name, "--object")]
-        parameters = {"path": path.name, "unit": self.unit, "centre": True}
+        unit = self.unit or "mm"
+        parameters = {"path": path.name, "unit": unit, "centre": True}
         made = objects.build_artefact("mesh", parameters, "--object", name=path.stem, folder=folder)
         return made, [
             Entry("mesh", path.name, "--object"),
-            Entry("unit", self.unit, "--unit"),
+            Entry("unit", unit, "--unit" if self.unit else "assumed: --unit states it"),
             Entry("centre", True, "its place does not depend on the file's origin"),
         ]
 
