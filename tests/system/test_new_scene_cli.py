@@ -138,6 +138,41 @@ def test_a_mesh_and_hardware_of_one_s_own(folder):
     assert scene.rig.camera.lens.f_number == pytest.approx(5.0, rel=1e-12)
 
 
+def test_nothing_is_assumed_in_the_place_of_what_a_file_states(folder):
+    sheet = "resolution_px = [640, 480]\npitch_um = 7.4\nwavelength_nm = 450.0\nblur_px = 0.3\n"
+    lens = "throw_ratio = 1.2\nlens_f_number = 1.8\n"
+    (folder / "both.toml").write_text(
+        f"[camera]\n{sheet}f_number = 8.0\n[projector]\n{sheet}{lens}"
+    )
+    words = {"camera": "both.toml", "projector": "both.toml", "throw_ratio": None}
+    assert new(**words).status == 0
+    assert tomllib.loads((folder / "mine.toml").read_text())["extends"] == ["both.toml"]
+    rig = load_scene("mine.toml").rig
+    assert rig.camera.lens.f_number == pytest.approx(8.0, rel=1e-12)
+    for device in (rig.camera, rig.projector):
+        assert (device.lens.wavelength_nm, device.blur_px) == (450.0, 0.3)
+    c, d = 1.2 * 640 * 7.4e-3, rig.projector.lens.focus_distance_mm
+    aperture = 2.0 * rig.projector.lens.aperture_radius_mm
+    assert c * d / (c + d) / aperture == pytest.approx(1.8, rel=1e-12)
+
+
+def test_a_telecentric_camera_has_its_own_lens(folder):
+    text = "[camera]\nresolution_px = [640, 480]\npitch_um = 7.4\nmagnification = 0.05\n"
+    text += "wavelength_nm = 0.0\n"
+    (folder / "tele.toml").write_text(text)
+    assert new(camera="tele.toml", lens_mm=None, object="step-block-5").status == 0
+    lens = load_scene("mine.toml").rig.camera.lens
+    assert (lens.kind, lens.aperture_radius_mm) == ("telecentric", 0.0)
+    assert lens.magnification == pytest.approx(0.05, rel=1e-12)
+    (folder / "tele.toml").write_text(f"{text}numerical_aperture = 0.01\n")
+    assert new("na.toml", camera="tele.toml", lens_mm=None, object="step-block-5").status == 0
+    assert load_scene("na.toml").rig.camera.lens.aperture_radius_mm > 0.0
+    refused = new("n.toml", camera="tele.toml", lens_mm=None, f_number=4)
+    check_refused(refused, "--f-number: expected none, as tele.toml states numerical_aperture")
+    refused = new("n.toml", camera="tele.toml")
+    check_refused(refused, "--lens-mm: expected none, as tele.toml states magnification, got 25")
+
+
 def test_a_new_scene_scans(folder):
     assert new(camera="prosilica-ge680c", object="step-block-5").status == 0
     outcome = run_cli("scan", "mine.toml", "--preview", "--out", "out", "--no-picture", "--json")

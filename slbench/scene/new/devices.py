@@ -58,7 +58,7 @@ def camera_table(
         _either(file, "camera", _LENSES, "lens_mm", lenses.lens_mm, "--lens-mm"),
         _aperture(file, "camera", lenses.f_number, "--f-number", _CAMERA_F_NUMBER),
         Entry("focus_distance_mm", focus_mm, "--focus-mm, from the lens"),
-        Entry("wavelength_nm", _GREEN_NM, "assumed: green, of diffraction"),
+        *_assumed(file, "camera", "wavelength_nm", _GREEN_NM, "green, of diffraction"),
     ]
     table = {**file.content["camera"], **values_of(entries)}
     optics = validated(CameraOptics, table, f"{file.name}: camera")
@@ -91,8 +91,8 @@ def projector_table(
             "--projector-f-number",
             _PROJECTOR_F_NUMBER,
         ),
-        Entry("wavelength_nm", _GREEN_NM, "assumed: green, of diffraction"),
-        Entry("blur_px", 1.0, "assumed: no lens keeps a panel's pixels square"),
+        *_assumed(file, "projector", "wavelength_nm", _GREEN_NM, "green, of diffraction"),
+        *_assumed(file, "projector", "blur_px", 1.0, "no lens keeps a panel's pixels square"),
     ]
     if lenses.offset_percent is not None:
         option, value = "--offset-percent", lenses.offset_percent
@@ -104,6 +104,11 @@ def projector_table(
     found = f"derived: principal distance {c:.5g} mm, of a panel {width:.5g} mm wide"
     entries.insert(1, Entry("", None, found))
     return entries, optics
+
+
+def _assumed(file: HardwareFile, role: str, key: str, value: float, why: str) -> list[Entry]:
+    """Return the line of what nobody states; none where the file does."""
+    return [] if key in file.content[role] else [Entry(key, value, f"assumed: {why}")]
 
 
 def _either(
@@ -131,7 +136,8 @@ def _either(
 def _aperture(
     file: HardwareFile, role: str, value: float | None, option: str, usual: float
 ) -> Entry:
-    stated = any(key in file.content[role] for key in _APERTURES)
-    if value is None and not stated:
+    # A telecentric lens has a numerical aperture, or is a pinhole.
+    keys = (*_APERTURES, "magnification")
+    if value is None and not any(key in file.content[role] for key in keys):
         return Entry("lens_f_number", usual, f"assumed: {option} states it")
-    return _either(file, role, _APERTURES, "lens_f_number", value, option)
+    return _either(file, role, keys, "lens_f_number", value, option)
