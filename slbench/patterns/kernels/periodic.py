@@ -62,7 +62,8 @@ def in_carrier(
     found = _empty(pixels.shape[1])
     count = shifts[0] * shifts[1]
     delta, theta = (TWO_PI * np.arange(n) / n for n in shifts)
-    turned = np.stack([np.cos(delta), np.sin(delta)]), np.stack([np.cos(theta), np.sin(theta)])
+    padded = np.pad([np.cos(theta), np.sin(theta)], ((0, 0), (0, -shifts[1] % 3)))
+    turned = (np.stack([np.cos(delta), np.sin(delta)]), padded, shifts[1])
     given = (pixels[first : first + count], *turned, noise.coefficients, *found)
     in_bands(lambda begin, end: _carrier(*given, begin, end), pixels.shape[1], LEAST)
     return found
@@ -173,51 +174,43 @@ def _trapezoids(
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def _carrier(
-    frames: Any, delta: Any, theta: Any, noise: Any,
+    frames: Any, delta: Any, theta: Any, shifts: int, noise: Any,
     turns: Any, sigma: Any, modulation: Any, mean: Any, begin: int, end: int,
 ) -> None:  # fmt: skip
     alpha, beta, offset = noise[0], noise[1], noise[2]
-    n_delta, n_theta = delta.shape[1], theta.shape[1]
-    count = n_delta * n_theta
-    scratch = np.empty((13, BLOCK + PAD))
+    n_delta, last = delta.shape[1], shifts - 1
+    count = n_delta * shifts
+    scratch = np.empty((10, BLOCK + PAD))
     total, u, v = scratch[0], scratch[1], scratch[2]
     cu, cv, su, sv = scratch[3], scratch[4], scratch[5], scratch[6]
     sine, cosine, variance = scratch[7], scratch[8], scratch[9]
-    plain, x, y = scratch[10], scratch[11], scratch[12]
-    for start in range(begin, end, BLOCK):
-        n = min(BLOCK, end - start)
-        stop = start + n
+    for block in range(begin, end, BLOCK):
+        start, n = np.uintp(block), np.uintp(min(BLOCK, end - block))
         for r in range(10):
-            zeroed = scratch[r]
             for i in range(n):
-                zeroed[i] = 0.0
+                scratch[r, i] = 0.0
         for k in range(n_delta):
-            for i in range(n):
-                plain[i] = 0.0
-                x[i] = 0.0
-                y[i] = 0.0
-            for j in range(n_theta):
-                row = frames[k * n_theta + j, start:stop]
-                p, q = theta[0, j], theta[1, j]
-                for i in range(n):
-                    value = np.float64(row[i])
-                    plain[i] += value
-                    x[i] += p * value
-                    y[i] += q * value
             c, s = delta[0, k], delta[1, k]
-            for i in range(n):
-                total[i] += plain[i]
-                u[i] += x[i]
-                v[i] += y[i]
-            for i in range(n):
-                cu[i] += c * x[i]
-                cv[i] += c * y[i]
-                su[i] += s * x[i]
-                sv[i] += s * y[i]
-        own_mean, own_modulation = mean[start:stop], modulation[start:stop]
-        own_turns, own_sigma = turns[start:stop], sigma[start:stop]
-        for i in range(n):
-            own_mean[i] = total[i] / count
+            # Three frames at a time: a third of the traffic of the sums.  Weights go on as zeros.
+            for j in range(0, shifts, 3):
+                row0 = k * shifts + j
+                row1, row2 = k * shifts + min(j + 1, last), k * shifts + min(j + 2, last)
+                p0, p1, p2 = theta[0, j], theta[0, j + 1], theta[0, j + 2]
+                q0, q1, q2 = theta[1, j], theta[1, j + 1], theta[1, j + 2]
+                m1, m2 = 1.0 if j + 1 < shifts else 0.0, 1.0 if j + 2 < shifts else 0.0
+                for i in range(n):
+                    at = start + i
+                    value0, value1 = np.float64(frames[row0, at]), np.float64(frames[row1, at])
+                    value2 = np.float64(frames[row2, at])
+                    x = p0 * value0 + p1 * value1 + p2 * value2
+                    y = q0 * value0 + q1 * value1 + q2 * value2
+                    total[i] += value0 + m1 * value1 + m2 * value2
+                    u[i] += x
+                    v[i] += y
+                    cu[i] += c * x
+                    cv[i] += c * y
+                    su[i] += s * x
+                    sv[i] += s * y
         for i in range(n):
             # cos psi and sin psi of the carrier, then b / 2 cos phi and b / 2 sin phi
             length = 1.0 / math.sqrt(u[i] * u[i] + v[i] * v[i])
@@ -226,29 +219,61 @@ def _carrier(
             cosine[i] = 4.0 / count * (u[i] * cu[i] + v[i] * cv[i])
             sine[i] = 4.0 / count * (u[i] * su[i] + v[i] * sv[i])
         for i in range(n):
-            own_turns[i] = TURN * angle(sine[i], cosine[i])
+            turns[start + i] = TURN * angle(sine[i], cosine[i])
         for i in range(n):
+            mean[start + i] = total[i] / count
             total[i] = math.sqrt(sine[i] * sine[i] + cosine[i] * cosine[i])
             cosine[i] /= total[i]
             sine[i] /= total[i]
         for k in range(n_delta):
-            for i in range(n):
-                plain[i] = 0.0
-            for j in range(n_theta):
-                row = frames[k * n_theta + j, start:stop]
-                p, q = theta[0, j], theta[1, j]
-                for i in range(n):
-                    own = alpha + beta * max(np.float64(row[i]) - offset, 0.0)
-                    part = u[i] * p + v[i] * q
-                    plain[i] += own * part * part
             c, s = delta[0, k], delta[1, k]
-            for i in range(n):
-                part = sine[i] * c - cosine[i] * s
-                variance[i] += plain[i] * part * part
+            for j in range(0, shifts, 3):
+                row0 = k * shifts + j
+                row1, row2 = k * shifts + min(j + 1, last), k * shifts + min(j + 2, last)
+                p0, p1, p2 = theta[0, j], theta[0, j + 1], theta[0, j + 2]
+                q0, q1, q2 = theta[1, j], theta[1, j + 1], theta[1, j + 2]
+                for i in range(n):
+                    at = start + i
+                    own0 = alpha + beta * max(np.float64(frames[row0, at]) - offset, 0.0)
+                    own1 = alpha + beta * max(np.float64(frames[row1, at]) - offset, 0.0)
+                    own2 = alpha + beta * max(np.float64(frames[row2, at]) - offset, 0.0)
+                    x = u[i] * p0 + v[i] * q0
+                    y = u[i] * p1 + v[i] * q1
+                    z = u[i] * p2 + v[i] * q2
+                    across = sine[i] * c - cosine[i] * s
+                    variance[i] += (own0 * x * x + own1 * y * y + own2 * z * z) * across * across
         for i in range(n):
-            own_sigma[i] = TURN * 4.0 / count * math.sqrt(variance[i]) / total[i]
+            sigma[start + i] = TURN * 4.0 / count * math.sqrt(variance[i]) / total[i]
         for i in range(n):
-            own_modulation[i] = 2.0 * total[i]
+            modulation[start + i] = 2.0 * total[i]
+
+
+@njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
+def from_phasors(
+    phasors: Any, mean: Any, band: float, noise: Any, turns: Any, sigma: Any, modulation: Any
+) -> None:
+    """Take phase, its deviation and modulation from ``b / 2 exp(i phi)``.
+
+    Parameters
+    ----------
+    phasors : (P,) complex64 or complex128
+    mean : (P,) float32
+        Of the frame.
+    band : float
+        Variance of the phase, of white noise of variance b^2.
+    noise : (3,) float64
+    turns, sigma : (P,) float64
+    modulation : (P,) float32
+        Written.
+    """
+    alpha, beta, offset = noise[0], noise[1], noise[2]
+    for i in range(phasors.shape[0]):
+        x, y = np.float64(phasors[i].real), np.float64(phasors[i].imag)
+        turns[i] = TURN * angle(y, x)
+        shown = 2.0 * math.sqrt(x * x + y * y)
+        variance = alpha + beta * max(np.float64(mean[i]) - offset, 0.0)
+        sigma[i] = TURN * math.sqrt(band * variance) / shown
+        modulation[i] = shown
 
 
 #: Faults of a pixel: saturated or no number, too dim, a place too coarse for the periods, a
@@ -256,64 +281,62 @@ def _carrier(
 SATURATED, DIM, COARSE, ORDER, END = 1, 2, 4, 8, 16
 
 
-@njit(fastmath=FAST, error_model="numpy")
-def _search(row: Any, most: Any, faults: Any, n: int) -> None:
-    """Add :data:`SATURATED` where a value is above `most`, or no number."""
-    for i in range(n):
-        faults[i] |= np.uint8(0) if row[i] <= most else np.uint8(SATURATED)
-
-
-@njit(fastmath=FAST, error_model="numpy")
+@njit(inline="always", fastmath=FAST, error_model="numpy")
 def _judge(
-    modulation: Any, mean: Any, sigma: Any, noise: Any, limits: Any, faults: Any, n: int
+    modulation: Any, mean: Any, sigma: Any, noise: Any, limits: Any, faults: Any, start: int, n: int
 ) -> None:
     """Add :data:`DIM` where there is too little modulation."""
     alpha, beta, offset = noise[0], noise[1], noise[2]
-    least, ratio = limits[0], limits[1]
+    least, ratio = limits[0], limits[1] * limits[1]
     for i in range(n):
-        variance = alpha + beta * max(np.float64(mean[i]) - offset, 0.0)
-        contrast = np.float64(modulation[i])
-        lit = (contrast >= least) & (contrast * contrast >= ratio * ratio * variance)
-        faults[i] |= np.uint8(0) if lit & (abs(sigma[i]) < np.inf) else np.uint8(DIM)
+        variance = alpha + beta * max(np.float64(mean[start + i]) - offset, 0.0)
+        contrast = np.float64(modulation[start + i])
+        lit = (contrast >= least) & (contrast * contrast >= ratio * variance)
+        good = lit & (abs(sigma[start + i]) < np.inf)
+        faults[start + i] |= np.uint8(0) if good else np.uint8(DIM)
 
 
-@njit(fastmath=FAST, error_model="numpy")
+@njit(inline="always", fastmath=FAST, error_model="numpy")
 def _unwrap(
-    turns: Any, coarse: Any, deviation: Any, relation: Any, residual: Any, faults: Any, n: int
-) -> None:
+    turns: Any, coarse: Any, deviation: Any, relation: Any, off: Any, faults: Any,
+    start: int, n: int,
+) -> None:  # fmt: skip
     """Unwrap turns in place from a coarser code."""
     scale, shift, wide, limit = relation[0], relation[1], relation[2], relation[3]
     for i in range(n):
-        own = turns[i] - math.floor(turns[i])
-        exact = scale * (coarse[i] + shift) - own
-        order = math.floor(exact + 0.5)
-        residual[i] = exact - order
-        turns[i] = order + own
+        own = turns[start + i] - np.floor(turns[start + i])
+        exact = scale * (coarse[start + i] + shift) - own
+        order = np.floor(exact + 0.5)
+        off[i] = exact - order
+        turns[start + i] = order + own
     for i in range(n):
-        slack = wide * deviation[i]
+        slack = wide * deviation[start + i]
         fault = np.uint8(COARSE) if slack > 0.5 + 1e-9 else np.uint8(0)
-        faults[i] |= fault | (np.uint8(0) if abs(residual[i]) <= limit + slack else np.uint8(ORDER))
+        doubt = np.uint8(0) if abs(off[i]) <= limit + slack else np.uint8(ORDER)
+        faults[start + i] |= fault | doubt
 
 
-@njit(fastmath=FAST, error_model="numpy")
-def _conclude(turns: Any, sigma: Any, panel: Any, faults: Any, mask: Any, n: int) -> None:
+@njit(inline="always", fastmath=FAST, error_model="numpy")
+def _conclude(
+    turns: Any, sigma: Any, panel: Any, faults: Any, mask: Any, start: int, n: int
+) -> None:
     """Make turns and their deviations panel pixels, in place, NaN where there is a fault."""
     count, size, margin, closed = panel[0], panel[1], panel[2], panel[3] > 0.0
     sign = 1.0 if closed else -1.0
     around = 1.0 if closed else 0.0
     pixels = size / count
     for i in range(n):
-        at = turns[i] - around * count * math.floor(turns[i] / count)
-        near = sign * margin * sigma[i]
+        at = turns[start + i] - around * count * np.floor(turns[start + i] / count)
+        near = sign * margin * sigma[start + i]
         within = (at >= near) & (at <= count - near)
-        faults[i] |= np.uint8(0) if within else np.uint8(END)
-        turns[i] = at
+        faults[start + i] |= np.uint8(0) if within else np.uint8(END)
+        turns[start + i] = at
     for i in range(n):
-        turns[i] = pixels * turns[i] - 0.5 if faults[i] == 0 else np.nan
+        good = faults[start + i] == 0
+        turns[start + i] = pixels * turns[start + i] - 0.5 if good else np.nan
+        sigma[start + i] = pixels * sigma[start + i] if good else np.nan
     for i in range(n):
-        sigma[i] = pixels * sigma[i] if faults[i] == 0 else np.nan
-    for i in range(n):
-        mask[i] = faults[i] == 0
+        mask[start + i] = faults[start + i] == 0
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
@@ -351,20 +374,23 @@ def resolve(
         Where there is no fault, or shape (0,) before the last code.  Written, and turns and sigma
         are made pixels, NaN outside it.
     """
-    spare = np.empty(BLOCK + PAD)
-    for start in range(begin, end, BLOCK):
-        n = min(BLOCK, end - start)
-        stop = start + n
-        own, place, deviations = faults[start:stop], turns[start:stop], sigma[start:stop]
+    off = np.empty(BLOCK + PAD)
+    for block in range(begin, end, BLOCK):
+        start, n = np.uintp(block), np.uintp(min(BLOCK, end - block))
         for k in range(rows.shape[0]):
-            _search(frames[rows[k], start:stop], most, own, n)
-        _judge(modulation[start:stop], mean[start:stop], deviations, noise, limits, own, n)
+            row = rows[k]
+            for i in range(n):
+                # The comparison is this way round so that NaN is flagged.
+                full = np.uint8(0) if frames[row, start + i] <= most else np.uint8(SATURATED)
+                faults[start + i] |= full
+        _judge(modulation, mean, sigma, noise, limits, faults, start, n)
         if coarse.shape[0] > 0:
-            rest = residual[start:stop] if residual.shape[0] > 0 else spare
-            before = coarse[start:stop]
-            _unwrap(place, before, deviation[start:stop], relation, rest, own, n)
+            _unwrap(turns, coarse, deviation, relation, off, faults, start, n)
+            if residual.shape[0] > 0:
+                for i in range(n):
+                    residual[start + i] = off[i]
         if mask.shape[0] > 0:
-            _conclude(place, deviations, panel, own, mask[start:stop], n)
+            _conclude(turns, sigma, panel, faults, mask, start, n)
 
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")

@@ -17,13 +17,15 @@ which neighbours within a fringe share.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import pi
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from slbench.core.threads import thread_count
+from slbench.core.threads import in_bands
 from slbench.patterns.base import FloatArray, Observed, Panel, Placed
 from slbench.patterns.codes.periodic import Estimate, PeriodicCode
 
@@ -31,6 +33,8 @@ from slbench.patterns.codes.periodic import Estimate, PeriodicCode
 _BORDER = 1.5
 #: Fringes across the picture below which a carrier is not told from the mean.
 _LEAST = 3
+#: Pixels that are transformed at once.
+_GROUP = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -67,49 +71,97 @@ class FourierTransform(PeriodicCode):
 
     def estimate(self, placed: Placed, observed: Observed) -> Estimate:
         """Return the phase of the frame, turns, and its standard deviation."""
+        from slbench.patterns.kernels.periodic import from_phasors
+
+        noise = observed.noise.coefficients
         frame = observed.pixels[placed.frames.start].reshape(observed.shape)
-        lines = np.nan_to_num(frame.T if self.axis == "v" else frame).astype(np.float64)
-        analytic, carrier = _analytic(lines)
-        modulation = 2.0 * np.abs(analytic)
-        mean = local_mean(lines, round(1.0 / carrier) if carrier else lines.shape[1])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            sigma = np.sqrt(1.5 * carrier * observed.noise.variance(mean)) / modulation
+        lines = np.ascontiguousarray(frame.T) if self.axis == "v" else frame
+        spectrum, carrier = _spectrum(lines)
+        turns, sigma = np.empty(lines.shape), np.empty(lines.shape)
+        modulation, mean = np.empty(lines.shape, np.float32), np.empty(lines.shape, np.float32)
+        width = round(1.0 / carrier) if carrier else lines.shape[1]
         border = int(np.ceil(_BORDER / carrier)) if carrier else lines.shape[1]
-        sigma[:, :border] = np.nan
-        sigma[:, lines.shape[1] - border :] = np.nan
-        turns = np.angle(analytic) / (2.0 * pi)
-        found = (turns, sigma / (2.0 * pi), modulation, mean)
+
+        def transform(rows: slice) -> None:
+            phasors = _phasors(spectrum[rows], carrier, lines.shape[1])
+            mean[rows] = local_mean(_numbers(lines[rows]), width)
+            written = (one[rows].reshape(-1) for one in (turns, sigma, modulation))
+            level = mean[rows].reshape(-1)
+            from_phasors(phasors.reshape(-1), level, 1.5 * carrier, noise, *written)
+            sigma[rows, :border] = np.nan
+            sigma[rows, lines.shape[1] - border :] = np.nan
+
+        _by_rows(transform, lines.shape)
+        found = (turns, sigma, modulation, mean)
         return Estimate(*((one.T if self.axis == "v" else one).ravel() for one in found))
 
 
-def _analytic(
-    lines: FloatArray,
-) -> tuple[np.ndarray[tuple[int, ...], np.dtype[np.complex128]], float]:
-    """Return b / 2 exp(i phi) along lines (V, U), and the carrier, cycles a pixel; 0 for none."""
-    from scipy.fft import ifft, rfft
+def _by_rows(work: Callable[[slice], None], shape: tuple[int, ...]) -> None:
+    """Call `work` for groups of rows, whose results stay in the second-level cache, in threads."""
+    count, length = shape
+    group = max(_GROUP // length, 1)
+    groups = [slice(first, first + group) for first in range(0, count, group)]
 
-    length, workers = lines.shape[1], thread_count()
-    spectrum = rfft(lines - lines.mean(axis=1, keepdims=True), axis=1, workers=workers)
-    power = (np.abs(spectrum) ** 2).sum(axis=0)[: length // 2]
+    def band(first: int, last: int) -> None:
+        for rows in groups[first:last]:
+            work(rows)
+
+    in_bands(band, len(groups), 1)
+
+
+def _numbers(lines: NDArray[Any]) -> NDArray[Any]:
+    """Return lines as real numbers, in single precision unless they are doubles, 0 for none."""
+    real = lines.astype(np.result_type(lines.dtype, np.float32))
+    return real if lines.dtype.kind == "u" else np.nan_to_num(real, copy=False)
+
+
+def _spectrum(lines: NDArray[Any]) -> tuple[NDArray[Any], float]:
+    """Return the spectrum of lines (V, U) without their mean, and the carrier, 0 for none.
+
+    The carrier is in cycles a pixel.  Single precision adds to the phase less than 1e-6 of the
+    picture's range over the modulation, rad: about a hundredth of what rounding to 8 bits adds.
+    """
+    from scipy.fft import rfft
+
+    count, length = lines.shape
+    kind = np.result_type(lines.dtype, np.complex64)
+    spectrum = np.empty((count, length // 2 + 1), kind)
+    powers: dict[int, NDArray[np.float64]] = {}
+
+    def transform(rows: slice) -> None:
+        real = _numbers(lines[rows])
+        real -= real.mean(axis=1, keepdims=True)
+        own = rfft(real, axis=1, overwrite_x=True)
+        spectrum[rows] = own
+        powers[rows.start] = (own.real**2 + own.imag**2).sum(axis=0, dtype=np.float64)
+
+    _by_rows(transform, lines.shape)
+    # In the order of the rows: the same sum by any number of threads.
+    power = np.sum([powers[first] for first in sorted(powers)], axis=0)[: length // 2]
     if len(power) <= _LEAST:
-        return np.zeros(lines.shape, np.complex128), 0.0
+        return spectrum, 0.0
     power[:_LEAST] = 0.0
     # The carrier is the power's mean about its peak: a slope spreads it.
     peak = int(np.argmax(power))
     near = np.arange(max(peak // 2, _LEAST), min(2 * peak, len(power)))
-    carrier = float(np.sum(near * power[near]) / max(power[near].sum(), 1e-300)) / length
+    return spectrum, float(np.sum(near * power[near]) / max(power[near].sum(), 1e-300)) / length
+
+
+def _phasors(spectrum: NDArray[Any], carrier: float, length: int) -> NDArray[Any]:
+    """Return b / 2 exp(i phi) along lines of `length` pixels, from their spectrum; 0 for none."""
+    from scipy.fft import ifft
+
     if not carrier:
-        return np.zeros(lines.shape, np.complex128), 0.0
+        return np.zeros((len(spectrum), length), spectrum.dtype)
     off = (np.fft.rfftfreq(length) - carrier) / carrier
     window = np.where(np.abs(off) < 1.0, np.cos(0.5 * pi * off) ** 2, 0.0)
-    spectrum *= window
     # The negative frequencies are zero.
-    return ifft(spectrum, length, axis=1, overwrite_x=True, workers=workers), carrier
+    kept = spectrum * window.astype(spectrum.real.dtype)
+    return np.asarray(ifft(kept, length, axis=1, overwrite_x=True))
 
 
-def local_mean(lines: FloatArray, width: int) -> FloatArray:
+def local_mean(lines: NDArray[Any], width: int) -> NDArray[Any]:
     """Return the mean over some pixels along the lines."""
     from scipy.ndimage import uniform_filter1d
 
-    mean: FloatArray = uniform_filter1d(lines, max(width, 1), axis=1)
-    return mean
+    return np.asarray(uniform_filter1d(lines, max(width, 1), axis=1))
