@@ -19,8 +19,8 @@ from slbench.patterns import Fringes
 
 #: From this vibration on what it leaves of fringes, to third order, counts beside photons' noise.
 _SHAKEN_PX = 0.1
-#: Levels of flat frames that tell a line by themselves.
-_LEVELS = 3
+#: Levels of flat frames that tell a line by themselves: they hardly change when they move.
+_LEVELS = 2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -12,7 +12,7 @@ a mean a frame, a mean a repeat, and what is left, each frame's own, which is th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -27,7 +27,9 @@ Array = NDArray[np.float64]
 #: Smoothing of differences and of slopes alike, px.
 _SIGMA = 1.0
 #: A slope by seven pixels and a mean across it (A. Savitzky and M. J. E. Golay, Anal. Chem. 36,
-#: 1964): noise and PRNU, which do not move with the picture, hardly count in it.
+#: 1964), for what is taken out: noise and PRNU, which do not move with the picture, hardly count in
+#: it.  It takes a part of fine fringes' slope, so that the displacement itself is found by the
+#: derivative of a Gaussian, beside differences that are smoothed by the same.
 _SLOPE = np.array([22.0, -67.0, -58.0, 0.0, 58.0, 67.0, -22.0]) / 252.0
 _ACROSS = np.array([-2.0, 3.0, 6.0, 7.0, 6.0, 3.0, -2.0]) / 21.0
 #: What is left out beside saturated pixels and the picture's edge, px.
@@ -80,40 +82,45 @@ def moves_of(stack: NDArray[np.float32], top: float) -> tuple[Moves, NDArray[np.
     if np.count_nonzero(kept) < _LEAST:
         return none, stack
     first = _slope(mean, 1), _slope(mean, 0)
-    second = _slope(first[0], 1), _slope(first[0], 0), _slope(first[1], 0)
+    second = np.stack([_slope(first[0], 1), _slope(first[0], 0), _slope(first[1], 0)])
     pictures = np.stack([*first, mean, np.ones_like(mean)])
     smooth = gaussian_filter(pictures, (0.0, _SIGMA, _SIGMA))
+    exact = np.stack([_gaussian(mean, 1), _gaussian(mean, 0), *smooth[2:]])
     rest = stack - mean
     differences = gaussian_filter(rest, (0.0, _SIGMA, _SIGMA))
+    smooth_second = gaussian_filter(second, (0.0, _SIGMA, _SIGMA))
     found, variance = np.zeros((count, 4)), np.full((count, 4), np.inf)
+    share = _noise_share(_smoothed_slope)
+    told = np.zeros((count, 4))
     still = rest
     for _ in range(_PASSES):
         left = still[:, kept]
         usual = max(1.4826 * float(np.median(np.abs(left))), _LEAST_NOISE)
         left = left[np.abs(left) <= _OUTLIER * usual]  # the median of whole numbers is coarse
         sigma = float(np.sqrt(np.mean(left**2) * count / (count - 1.0))) + 1e-6
+        # The curvature of fringes is their light: what is of second order would count as flicker.
+        straight = differences - np.tensordot(_squares(found), smooth_second, axes=1)
         for k in range(count):
             # What moves by itself, a hand or a shadow, is no motion of the whole.
             own = kept & (np.abs(still[k]) <= _OUTLIER * max(sigma, usual))
             if np.count_nonzero(own) >= _LEAST:
-                found[k], variance[k] = _fitted(differences[k], smooth, own, sigma**2 / count)
-        still = rest - _moved(found.astype(np.float32), pictures, second)
+                noise = sigma**2 / count
+                found[k], _ = _fitted(straight[k], smooth, own, noise, share)
+                told[k], variance[k] = _fitted(
+                    straight[k], exact, own, noise, _noise_share(_gaussian)
+                )
+        moved = np.tensordot(found.astype(np.float32), pictures, axes=1)
+        still = rest - moved - np.tensordot(_squares(found), second, axes=1)
     # Displacements are relative to the mean of all repeats.
     spread = sigma**2 * variance.max(axis=0) * (1.0 - 1.0 / count)
-    return Moves(-found[:, :2], spread[:2], found[:, 2], float(spread[2])), still + mean
+    return Moves(-told[:, :2], spread[:2], told[:, 2], float(spread[2])), still + mean
 
 
-def _moved(
-    found: NDArray[np.float32],
-    pictures: NDArray[np.float32],
-    second: tuple[NDArray[np.float32], ...],
-) -> NDArray[np.float32]:
-    """Return how repeats differ from their mean, (R, V, U), to the square of displacements."""
-    squares = np.stack([0.5 * found[:, 0] ** 2, found[:, 0] * found[:, 1], 0.5 * found[:, 1] ** 2])
-    squares -= squares.mean(axis=1, keepdims=True)
-    own = np.tensordot(found, pictures, axes=1)
-    own += np.tensordot(squares.T, np.stack(second), axes=1)
-    return np.asarray(own)
+def _squares(found: Array) -> NDArray[np.float32]:
+    """Return by how much of each second slope repeats differ from their mean, (R, 3)."""
+    u, v = found[:, 0], found[:, 1]
+    squares = np.stack([0.5 * u**2, u * v, 0.5 * v**2], axis=1)
+    return (squares - squares.mean(axis=0)).astype(np.float32)
 
 
 def _slope(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
@@ -123,14 +130,27 @@ def _slope(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     return np.asarray(correlate1d(along, _ACROSS, axis=1 - axis, mode="nearest"))
 
 
-@cache
-def _noise_share() -> float:
-    """Return the variance of a smoothed slope of white noise of unit variance."""
+def _smoothed_slope(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
     from scipy.ndimage import gaussian_filter
 
+    return np.asarray(gaussian_filter(_slope(values, axis), _SIGMA))
+
+
+def _gaussian(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Return the slope of values smoothed by the Gaussian of the differences."""
+    from scipy.ndimage import gaussian_filter
+
+    order = [0, 0]
+    order[axis] = 1
+    return np.asarray(gaussian_filter(values, _SIGMA, order))
+
+
+@cache
+def _noise_share(slope: Callable[[NDArray[np.float32], int], NDArray[np.float32]]) -> float:
+    """Return the variance of a slope of white noise of unit variance."""
     impulse = np.zeros((65, 65), np.float32)
     impulse[32, 32] = 1.0
-    return float((gaussian_filter(_slope(impulse, 0), _SIGMA).astype(np.float64) ** 2).sum())
+    return float((slope(impulse, 0).astype(np.float64) ** 2).sum())
 
 
 def _fitted(
@@ -138,6 +158,7 @@ def _fitted(
     pictures: NDArray[np.float32],
     kept: NDArray[np.bool_],
     noise: float,
+    share: float,
 ) -> tuple[Array, Array]:
     """Return the shares of slopes, light and a constant in a difference, and their variances.
 
@@ -149,6 +170,8 @@ def _fitted(
     kept : (V, U) bool
     noise : float
         Variance of the noise of the mean of all repeats, DN^2.
+    share : float
+        Of it in a slope, a pixel^2.
 
     Returns
     -------
@@ -159,7 +182,7 @@ def _fitted(
     columns = pictures[:, kept].astype(np.float64)
     normal = columns @ columns.T
     corrected = normal.copy()
-    corrected[[0, 1], [0, 1]] -= noise * columns.shape[1] * _noise_share()
+    corrected[[0, 1], [0, 1]] -= noise * columns.shape[1] * share
     slope = np.diag(corrected)[:2]
     # What a displacement along the other axis does to second order would count along a faint one.
     moved = slope >= np.maximum(_FAINT * slope.max(), _CLEAN * np.diag(normal)[:2])
