@@ -31,6 +31,10 @@ def characterise(
             help="Window of the white frame with one straight edge, turned a little, px.",
         ),
     ] = None,
+    even: Annotated[
+        list[Path] | None,
+        typer.Option(help="Captures of a surface that is equally bright everywhere; give each."),
+    ] = None,
     picture: Annotated[
         bool, typer.Option("--picture/--no-picture", help="Draw NAME-characterise.png.")
     ] = True,
@@ -50,7 +54,7 @@ def characterise(
     check_output_file(out, (".toml",))
     hardware_output(out).check(out.parent, "--out")
     window = None if edge is None else _window(edge)
-    names = [str(folder) for folder in folders]
+    names = [str(folder) for folder in (*folders, *(even or ()))]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError("folders", "each folder once: it is no repeat of itself", twice)
@@ -58,7 +62,8 @@ def characterise(
         name: Capture.load(name, allow_modules=allow_modules, allow_outside=allow_outside)
         for name in names
     }
-    found = measured(captures, black_dn=black_dn, edge=window)
+    evenly = {str(folder): captures.pop(str(folder)) for folder in even or ()}
+    found = measured(captures, black_dn=black_dn, edge=window, even=evenly)
     files = {}
     if picture:
         from slbench.report.plots.characterise import write_characterisation_picture

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import tomli_w
 
 from slbench.calibration.characterise.measure import Characterisation
 from slbench.core.io import OutputFolder, files_beside, write_json, write_table
 from slbench.core.io.atomic import write_bytes
 from slbench.rig.response import COLUMNS
 
-#: Significant figures of a number.
-_FIGURES = 5
+#: Significant figures of a number, and of one of many: a curve grows at every step.
+_FIGURES, _FIGURES_OF_ARRAYS = 5, 7
 
 
 def hardware_output(path: Path) -> OutputFolder:
@@ -35,21 +35,15 @@ def hardware_text(found: Characterisation) -> str:
     ]
     tables: dict[str, list[str]] = {}
     others = []
-    light = found.curve
-    rows = None if light is None else light.response().curve
     for one in found.quantities:
         interval = f"{one.low:.4g} to {one.high:.4g}" + (f" {one.unit}" if one.unit else "")
         about = f"{interval}; {one.method}" + (f"; {one.note}" if one.note else "")
-        if one.key == ("projector", "gamma") and light is not None and rows is not None:
-            within = f"within {100.0 * float(np.max(light.half_width)):.2g} % of white"
-            own = [
-                f"# response, no gamma ({one.value:.4g} is nearest): {within}; {about}",
-                f"response = [{', '.join(f'[{v:g}, {r:.7g}]' for v, r in rows)}]",
-            ]
-            tables.setdefault("projector", []).extend(own)
-        elif one.key:
+        if one.key:
             table, key = one.key
-            own = [f"# {one.name}: {about}", f"{key} = {_number(one.value)}"]
+            written = one.written or {key: one.value}
+            value = f"{one.value:.4g}, " if one.written else ""
+            own = [f"# {one.name}: {value}{about}"]
+            own += [f"{name} = {_text(held)}" for name, held in written.items()]
             tables.setdefault(table, []).extend(own)
         else:
             others.append(f"# {one.name}: {one.value:.4g}, {about}")
@@ -98,5 +92,10 @@ def write_hardware(
             write(found, temporary / name)
 
 
-def _number(value: float) -> str:
-    return tomli_w.dumps({"x": float(f"{value:.{_FIGURES}g}")}).partition("= ")[2].strip()
+def _text(value: Any, figures: int = _FIGURES) -> str:
+    """Return a number, a truth value or an array as TOML has it."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(_text(one, _FIGURES_OF_ARRAYS) for one in value)}]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(float(f"{value:.{figures}g}"))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from slbench.calibration.characterise import motion, noise, response, spread
+from slbench.calibration.characterise import motion, noise, response, shading, spread
 from slbench.calibration.characterise.frames import Shot, check_alike, flats, shots
 from slbench.calibration.characterise.quantity import Quantity, Untold
 from slbench.capture.capture import Capture
@@ -114,6 +114,7 @@ def characterise(
     *,
     black_dn: float | None = None,
     edge: tuple[int, int, int, int] | None = None,
+    even: Mapping[str, Capture] | None = None,
 ) -> Characterisation:
     """Measure what captures tell of their camera and projector.
 
@@ -125,6 +126,8 @@ def characterise(
         Black level; by default that of the black frames, or else what a capture states.
     edge : (u, v, width, height), optional
         Window of the white frame that holds one straight edge, a little turned to the pixels.
+    even : mapping of str to Capture, optional
+        Pictures of a surface that is equally bright everywhere, for the camera's shading.
 
     Returns
     -------
@@ -136,7 +139,8 @@ def characterise(
         For captures of different cameras, or of colour pictures alone; for a window without an
         edge.
     """
-    check_alike(captures)
+    evenly = even or {}
+    check_alike({**captures, **evenly})
     found = shots(captures)
     if not found:
         expected = "a capture of grey frames: channels of a picture are no frames of their own"
@@ -194,10 +198,14 @@ def characterise(
     whole.take(*blur)
     quantities, lost, contrasts = spread.projector_blur(captures, next(iter(blur[0]), None), top)
     whole.take(quantities, lost)
+    level_dn = None if black is None else black[0]
+    shaded = shading.camera_shading(evenly, level_dn, top)
+    whole.take(*shaded)
+    whole.take(*shading.white_shading(found, next(iter(shaded[0]), None), level_dn, top))
     whole.take(*shaken)
     whole.take(motion.flicker(moves))
     return Characterisation(
-        folders=tuple(captures),
+        folders=(*captures, *evenly),
         bit_depth=one.bit_depth,
         quantities=tuple(whole.quantities),
         untold=tuple(whole.untold),

@@ -7,8 +7,8 @@ jackknife: B. Efron and C. Stein, "The jackknife estimate of variance", Ann. Sta
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,6 +40,8 @@ class Quantity:
         Table and key of a scene that holds it; empty if none does.
     note : str
         What else it may hold.
+    written : mapping of str to value
+        What keys of that table hold, where it is not the number itself.
     """
 
     name: str
@@ -50,6 +52,7 @@ class Quantity:
     method: str
     key: tuple[str, ...] = ()
     note: str = ""
+    written: Mapping[str, Any] = field(default_factory=dict)
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""

@@ -116,9 +116,12 @@ def _measured(
     value, radiance = result.value[1 : 1 + count], result.value[1 + count :]
     curve = Curve(value, radiance, result.half_width[1 + count :], gamma) if count else None
     note = "the camera is taken for linear"
+    rows = None
     if curve is not None:
-        off = float(np.max(np.abs(radiance - value**gamma)))
+        off, within = np.max(np.abs(radiance - value**gamma)), np.max(curve.half_width)
         note += f"; the measured curve is off this gamma by up to {100 * off:.2g} % of white"
+        note += f", and known to {100 * within:.2g} %"
+        rows = curve.response().curve
     one = Quantity(
         name="gamma",
         value=gamma,
@@ -126,8 +129,9 @@ def _measured(
         high=gamma + half,
         unit="",
         method=method,
-        key=("projector", "gamma"),
+        key=("projector", "gamma" if rows is None else "response"),
         note=note,
+        written={} if rows is None else {"response": rows},
     )
     return [one], [], curve
 
