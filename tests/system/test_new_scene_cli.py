@@ -243,6 +243,8 @@ def test_a_file_that_is_there_stays(folder):
         ({"lens_mm": "nan"}, "--lens-mm: expected"),
         ({"angle_deg": 90}, "--angle-deg: expected less than or equal to 80"),
         ({"unit": "km", "object": "part.stl"}, "--unit: expected um or mm or cm"),
+        ({"camera": ""}, "--camera: expected a .toml, or the name of a shipped camera"),
+        ({"object": ""}, "--object: expected a file, or an artefact, got ''"),
         ({"unit": "m"}, "--unit: expected a mesh file as --object, got step-block-20"),
     ],
 )
@@ -293,7 +295,9 @@ def test_a_copy_is_the_shipped_file_and_loads_from_anywhere(folder, name):
     path = folder / f"{name.rpartition('/')[2]}.toml"
     assert outcome == (0, f"Written to {path.name}\n", "")
     assert read_merged(path) == read_merged(resources.find("scenes", name))
-    comments = re.findall(r"#.*", resources.find("scenes", name).read_text())
+    text = resources.find("scenes", name).read_text()
+    assert path.read_text().splitlines()[0] == text.splitlines()[0]
+    comments = re.findall(r"#.*", text)
     assert set(comments) <= set(re.findall(r"#.*", path.read_text()))
     if "/" not in name:
         assert tomllib.loads(path.read_text())["name"] == load_scene(path).name == name

@@ -88,13 +88,15 @@ def new(
     check_scene_output(out, overwrite)
     asking = Asking("scene new")
     camera = asking.text(camera, "--camera", "Camera: a shipped name, or a .toml")
-    eye = camera and find_hardware(camera, "camera", out.parent, "--camera")
-    if not (eye and has_lens(eye, "camera")):
+    eye = None if camera is None else find_hardware(camera, "camera", out.parent, "--camera")
+    if eye is None or not has_lens(eye, "camera"):
         lens_mm = asking.number(lens_mm, "--lens-mm", "Focal length of its lens, mm")
     focus_mm = asking.number(focus_mm, "--focus-mm", "From its lens to the object, mm")
     projector = asking.text(projector, "--projector", "Projector: a shipped name, or a .toml")
-    beam = projector and find_hardware(projector, "projector", out.parent, "--projector")
-    if not (beam and has_lens(beam, "projector")):
+    beam = None
+    if projector is not None:
+        beam = find_hardware(projector, "projector", out.parent, "--projector")
+    if beam is None or not has_lens(beam, "projector"):
         ratio = "Its throw ratio, distance over width"
         throw_ratio = asking.number(throw_ratio, "--throw-ratio", ratio)
     if angle_deg is None:
@@ -102,8 +104,8 @@ def new(
         baseline_mm = asking.number(baseline_mm, "--baseline-mm", between)
     item = asking.text(item, "--object", "Object: a shipped artefact, or a file")
     asking.check()
-    assert eye  # as the others, by asking.check
-    assert beam
+    assert eye is not None  # as the others, by asking.check
+    assert beam is not None
     assert item is not None
     assert focus_mm is not None
     options = {

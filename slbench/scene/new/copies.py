@@ -40,7 +40,8 @@ def copied(name: str) -> tuple[Path, str]:
         shipped = [_shipped(one, folder) for one in ([base] if isinstance(base, str) else base)]
         value: str | Sequence[str] = shipped[0] if isinstance(base, str) else shipped
         text = _EXTENDS.sub(f"extends = {written(value)}", text, count=1)
-    return path, f"# A copy of the shipped {name}.\n{text}"
+    title, _, rest = text.partition("\n")  # which says what it is
+    return path, f"{title}\n# A copy of the shipped {name}.\n{rest}"
 
 
 def _shipped(base: str, folder: str) -> str:
