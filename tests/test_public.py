@@ -114,8 +114,15 @@ def values(tmp_path_factory):
         sl.error_budget(scene, repeats=2),
         sl.open_dataset(write_dataset(tmp_path_factory.mktemp("small"))),
         sl.simulate.render.current(),
+        small_twin(),
     ]
     return found
+
+
+def small_twin():
+    """Return the twin of a scan of few pixels."""
+    photographed = sl.scan(sl.load_scene("plane").coarser(8, 16), score=False).capture
+    return sl.twin.make_twin(photographed, [sl.twin.TwinObject(shape="plane")], samples=4)
 
 
 def own_texts():

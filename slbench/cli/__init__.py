@@ -37,6 +37,7 @@ SECTIONS = {
         "register": "slbench.cli.register:register_views",
         "calibrate": "slbench.cli.calibrate:group",
         "characterise": "slbench.cli.characterise:characterise",
+        "twin": "slbench.cli.twin:twin",
     },
     "Judge": {
         "compare": "slbench.cli.compare:compare",

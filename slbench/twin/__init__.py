@@ -1,4 +1,4 @@
-"""The simulated instrument beside the real one: the calibration experiment."""
+"""The simulated instrument beside the real one: its twin, and the calibration experiment."""
 
 import lazy_loader
 

@@ -2,3 +2,8 @@
 
 from .experiment import Experiment as Experiment
 from .experiment import run_experiment as run_experiment
+from .likeness import Likeness as Likeness
+from .twin import Twin as Twin
+from .twin import TwinObject as TwinObject
+from .twin import make_twin as make_twin
+from .twin import write_twin as write_twin

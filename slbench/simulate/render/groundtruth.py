@@ -44,33 +44,50 @@ def ground_truth(objects: tuple[SceneObject, ...], rig: Rig) -> GroundTruth:
     BackendError
         If Mitsuba cannot run here.
     """
-    camera = rig.camera
-    shape = (camera.height, camera.width)
-    truth = GroundTruth(
-        point=np.full((*shape, 3), np.nan),
-        normal=np.full((*shape, 3), np.nan),
-        depth=np.full(shape, np.nan),
-        panel=np.full((*shape, 2), np.nan),
-        status=np.zeros(shape, np.uint8),
-        object_id=np.full(shape, -1, np.int32),
-        camera_coc=np.full(shape, np.nan),
-        projector_coc=np.full(shape, np.nan),
-        camera_spread=np.full(shape, np.nan),
-        projector_spread=np.full(shape, np.nan),
-    )
-    rays = _Rays(objects, rig)
-    step = max(1, _PIXELS_PER_PASS // camera.width)
-    for first in range(0, camera.height, step):
-        rays.run(truth, slice(first, min(first + step, camera.height)))
-    return truth
+    return Surfaces(objects).seen_by(rig)
 
 
-class _Rays:
-    def __init__(self, objects: tuple[SceneObject, ...], rig: Rig) -> None:
-        self.camera, self.projector = rig.camera, rig.projector
+class Surfaces:
+    """Objects, ready to be seen by one rig after the other.
+
+    Parameters
+    ----------
+    objects : tuple of SceneObject
+    """
+
+    def __init__(self, objects: tuple[SceneObject, ...]) -> None:
         self.geometry = geometry(objects)
         self.indices = shape_indices(self.geometry)
         self.shapes = shapes(objects)
+
+    def seen_by(self, rig: Rig) -> GroundTruth:
+        """Return what a rig of one camera and one projector sees; see :func:`ground_truth`."""
+        camera = rig.camera
+        shape = (camera.height, camera.width)
+        truth = GroundTruth(
+            point=np.full((*shape, 3), np.nan),
+            normal=np.full((*shape, 3), np.nan),
+            depth=np.full(shape, np.nan),
+            panel=np.full((*shape, 2), np.nan),
+            status=np.zeros(shape, np.uint8),
+            object_id=np.full(shape, -1, np.int32),
+            camera_coc=np.full(shape, np.nan),
+            projector_coc=np.full(shape, np.nan),
+            camera_spread=np.full(shape, np.nan),
+            projector_spread=np.full(shape, np.nan),
+        )
+        rays = _Rays(self, rig)
+        step = max(1, _PIXELS_PER_PASS // camera.width)
+        for first in range(0, camera.height, step):
+            rays.run(truth, slice(first, min(first + step, camera.height)))
+        return truth
+
+
+class _Rays:
+    def __init__(self, surfaces: Surfaces, rig: Rig) -> None:
+        self.camera, self.projector = rig.camera, rig.projector
+        self.geometry, self.indices = surfaces.geometry, surfaces.indices
+        self.shapes = surfaces.shapes
 
     def run(self, truth: GroundTruth, rows: slice) -> None:
         v, u = np.mgrid[rows, 0 : self.camera.width].astype(np.float64)
