@@ -17,5 +17,6 @@ DRAWERS: dict[str, str] = {
     "slbench.twin.twin:Twin": "slbench.report.plots.twin:draw",
     "slbench.bench.compare.comparison:Comparison": "slbench.report.pages.compare:draw",
     "slbench.bench.budget.budget:Budget": "slbench.report.plots.budget:draw",
+    "slbench.bench.diagnose.diagnosis:Diagnosis": "slbench.report.plots.diagnose:draw",
     "slbench.bench.sweep.sweep:Sweep": "slbench.report.plots.sweep:draw",
 }

@@ -1,0 +1,1 @@
+"""What the errors of a measured plane or sphere come from."""

@@ -1,0 +1,284 @@
+"""Errors of panel coordinates, told apart by the terms that each cause has in the panel.
+
+The measured coordinate less that of the fitted shape is a point's error, px; times ``mm/px`` it is
+its distance from the shape.  Of fringes of period ``P`` from N frames:
+
+* a response that is not linear makes harmonics N - 1 and N + 1 of the fringes look like phase:
+  ``sin`` and ``cos`` of N times the fringes, and of 2 N;
+* frames of unequal light, ``g_k (A + B cos)``, make errors of once the fringes, A / B large, and of
+  twice, 1 / 2;
+* unequal steps of phase make errors of twice the fringes (J. Schwider et al., Appl. Opt. 22, 1983);
+* light from another place makes errors of once the fringes, as large as there is such light: they
+  differ over the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import nan, pi
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.bench.diagnose.diagnosis import LEAST_SHARE, LEVEL, Cause, Diagnosis
+from slbench.bench.diagnose.orders import Orders, whole_orders
+from slbench.bench.diagnose.regression import Fitted, Group, regress, tiles_of
+from slbench.bench.diagnose.rest import split_rest, tile_mean
+from slbench.bench.diagnose.shape import Shape
+from slbench.core.show.display import brief
+from slbench.score.features import OUTLIER_SIGMAS
+
+Array = NDArray[np.float64]
+
+#: Degrees of the bowl.
+_DEGREES = 4
+#: Fringes in view below which ripples are not told from a bowl.
+_LEAST_FRINGES = 4.0
+#: Harmonics of fringes, and shortest period of one, panel pixels.
+_FINEST_PX = 1.2
+#: Uneven part of a ripple, as a share of the even one, from which on it is another place's light.
+_UNEVEN = 0.5
+#: Share of points off the shape that is named.
+_GROSS = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Points of a shape as camera and projector see them.
+
+    Parameters
+    ----------
+    pixels : (N, 2) int
+        Of the camera.
+    measured, predicted : (N,) float
+        Panel coordinate, and that of the shape where the camera's ray meets it, px.
+    jacobian : (N, k) float
+        Derivatives of the predicted one by the shape's parameters.
+    gain : (N,) float
+        Distance from the shape by the coordinate, mm/px.
+    sigma : (N,) float
+        Predicted deviation of the coordinate, px; NaN where none is known.
+    """
+
+    pixels: NDArray[np.integer]
+    measured: Array
+    predicted: Array
+    jacobian: Array
+    gain: Array
+    sigma: Array
+
+    __repr__ = brief
+
+    def chosen(self, kept: NDArray[Any]) -> Samples:
+        """Return some of them."""
+        names = ("pixels", "measured", "predicted", "jacobian", "gain", "sigma")
+        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+
+
+@dataclass(frozen=True)
+class Waves:
+    """What the coordinate was measured by.
+
+    Parameters
+    ----------
+    period_px : float or None
+        Of the finest fringes; None without fringes, or where it is not known.
+    shifts : int
+        Their frames; 0 if that is not known.
+    contrast : float
+        Modulation over mean grey value.
+    """
+
+    period_px: float | None
+    shifts: int
+    contrast: float
+
+
+def terms_of(samples: Samples, waves: Waves) -> list[Group]:
+    """Return the terms of every cause, for the points of a shape."""
+    x, y = _normalised(samples.pixels).T
+
+    def ripple(period: float, harmonics: tuple[int, ...]) -> Array:
+        angle = 2.0 * pi / period * samples.predicted
+        told = [m for m in harmonics if period / m > _FINEST_PX or period == 1.0]
+        columns = [turn(m * angle) for m in told for turn in (np.sin, np.cos)]
+        return np.stack(columns, axis=1) if columns else np.empty((len(angle), 0))
+
+    groups = [Group("bowl", polynomial(x, y)), Group("pixels", ripple(1.0, (1, 2)))]
+    period, n = waves.period_px, waves.shifts
+    if period is None or np.ptp(samples.predicted) < _LEAST_FRINGES * period:
+        return groups
+    once = ripple(period, (1,))
+    uneven = np.concatenate([once * c[:, None] for c in (x, y, x * x, x * y, y * y)], axis=1)
+    # Of squares, what is even over the image is the even ripple's.
+    uneven -= once @ np.linalg.lstsq(once, uneven, rcond=None)[0]
+    groups += [Group("unequal light", once), Group("vibration", ripple(period, (2,)))]
+    groups.append(Group("indirect light", uneven))
+    if n > 2:
+        groups.append(Group("response", ripple(period, (n, 2 * n))))
+    return groups
+
+
+def polynomial(x: Array, y: Array) -> Array:
+    """Return the products of powers of x and y, (N,) each, of degree 1 to 4: (N, 14)."""
+    powers = [(i, d - i) for d in range(1, _DEGREES + 1) for i in range(d + 1)]
+    return np.stack([x**i * y**j for i, j in powers], axis=1)
+
+
+def _normalised(places: Array | NDArray[np.integer]) -> Array:
+    """Return places (N, 2) on -1 to 1."""
+    low, high = places.min(axis=0), places.max(axis=0)
+    return np.asarray(2.0 * (places - low) / np.maximum(high - low, 1e-12) - 1.0)
+
+
+def smoothed(errors: Array, jacobian: Array, bowl: Array) -> tuple[Array, float]:
+    """Fit shape and bowl to errors of which some are wrong; return them and the usual rest.
+
+    Returns
+    -------
+    smooth : (N,) float
+    limit : float
+        Six robust deviations of what it leaves.
+    """
+    design = np.concatenate([jacobian / np.linalg.norm(jacobian, axis=0), bowl], axis=1)
+    kept = np.ones(len(errors), np.bool_)
+    smooth, limit = np.zeros(len(errors)), np.inf
+    for round_ in range(5):
+        if round_:
+            smooth = design @ np.linalg.lstsq(design[kept], errors[kept], rcond=None)[0]
+        rest = errors - smooth
+        middle = np.median(rest)
+        limit = OUTLIER_SIGMAS * 1.4826 * float(np.median(np.abs(rest - middle))) + 1e-12
+        kept = np.abs(rest - middle) <= limit
+    return smooth, limit
+
+
+def judge(
+    samples: Samples,
+    waves: Waves,
+    shape: Shape,
+    accept: Callable[[float, float], None],
+) -> Diagnosis:
+    """Say what the errors of points come from.
+
+    Parameters
+    ----------
+    samples : Samples
+    waves : Waves
+    shape : Plane or Sphere
+        That they were predicted by.
+    accept : callable
+        Takes the share of points off the shape and the usual distance, mm, of the others, and
+        raises if that is no such shape.
+
+    Returns
+    -------
+    Diagnosis
+        Without its source.
+    """
+    errors = samples.measured - samples.predicted
+    groups = terms_of(samples, waves)
+    smooth, limit = smoothed(errors, samples.jacobian, groups[0].terms)
+    orders = whole_orders(errors - smooth, limit, waves.period_px)
+    good = (orders.periods == 0) & ~orders.gross
+    usual = 1.4826 * float(np.median(np.abs(errors * samples.gain)))
+    accept(float(np.mean(orders.gross)), usual)
+    tiles = tiles_of(samples.pixels)
+    jacobian, gain = samples.jacobian, samples.gain
+    chosen = [Group(group.name, group.terms[good]) for group in groups]
+    fitted, rest = regress(errors[good], gain[good], jacobian[good], chosen, tiles[good])
+    moved = np.linalg.lstsq(jacobian[good], errors[good], rcond=None)[0]
+    distance = (errors - jacobian @ moved) * gain
+    within = float(np.mean(distance[good] ** 2))
+    causes = _told_causes(fitted, waves, within, float(np.mean(good)))
+    causes += _far_causes(orders, distance, orders.periods * (waves.period_px or 0.0) * gain, tiles)
+    low = samples.pixels.min(axis=0)
+    image = np.full(tuple((samples.pixels.max(axis=0) - low + 1)[::-1]), np.nan)
+    numbers = np.zeros(image.shape, np.intp)
+    column, row = (samples.pixels[good] - low).T
+    image[row, column], numbers[row, column] = rest * gain[good], tiles[good]
+    split, share = split_rest(image, numbers), float(np.mean(good))
+    there = split.p < LEVEL and split.correlated >= LEAST_SHARE * within
+    predicted = float(np.sqrt(np.mean((samples.sigma * gain)[good] ** 2)))
+    note = f"{np.sqrt(max(split.noise, 0.0)) / predicted:.2g} times the predicted"
+    causes += [
+        Cause(
+            "correlated",
+            share * split.correlated,
+            share * split.correlated_deviation,
+            split.p,
+            there,
+        ),
+        Cause(
+            *("noise", share * split.noise, share * split.noise_deviation, nan, False),
+            note if np.isfinite(predicted) else "",
+        ),
+    ]
+    made = {name: np.zeros(len(errors)) for name in (c.name for c in causes)}
+    for one in fitted:
+        made[one.name][good] = one.made * gain[good]
+    made["orders"] = orders.periods * (waves.period_px or 0.0) * gain
+    made["gross"][orders.gross] = distance[orders.gross]
+    # Of the rest, no point tells which part of it is noise.
+    made["noise"][good] = rest * gain[good]
+    del made["correlated"]
+    return Diagnosis(
+        source="",
+        shape=shape,
+        points=len(errors),
+        causes=tuple(sorted(causes, key=lambda c: -np.nan_to_num(c.mean_square_mm2))),
+        mean_square_mm2=float(np.mean(distance**2)),
+        near_mm2=share * within,
+        places=np.asarray(samples.pixels, np.float64),
+        unit="px",
+        distance_mm=distance,
+        made_mm=made,
+        predicted_mm=predicted,
+    )
+
+
+def _told_causes(fitted: list[Fitted], waves: Waves, within: float, good: float) -> list[Cause]:
+    """Return a cause of each group of terms; where two make one ripple, one of them is named."""
+    found = {}
+    for one in fitted:
+        if not one.told:
+            found[one.name] = Cause(one.name, nan, nan, nan, False)
+            continue
+        named = one.p < LEVEL and one.mean_square >= LEAST_SHARE * within
+        sizes = good * one.mean_square, good * one.deviation
+        found[one.name] = Cause(one.name, *sizes, one.p, named)
+    even, uneven = found.get("unequal light"), found.get("indirect light")
+    if even is not None and uneven is not None and even.named and uneven.named:
+        other = uneven.mean_square_mm2 >= _UNEVEN * even.mean_square_mm2
+        less, more = (even, uneven) if other else (uneven, even)
+        found[less.name] = replace(less, named=False, note=f"part of the {more.name}'s")
+    twice, even = found.get("vibration"), found.get("unequal light")
+    # Unequal frames make B / (2 A) of it in the mean, and rarely more than twice that.
+    if (
+        (twice is not None and even is not None)
+        and (twice.named and even.named)
+        and twice.rms_mm <= waves.contrast * even.rms_mm
+    ):
+        note = "no more than unequal light makes"
+        found[twice.name] = replace(twice, named=False, note=note)
+    return list(found.values())
+
+
+def _far_causes(
+    orders: Orders, distance: Array, stepped: Array, tiles: NDArray[np.intp]
+) -> list[Cause]:
+    """Return the causes of points that are far off: whole periods, and others."""
+    wrong = orders.periods != 0
+    size, deviation, _ = tile_mean(stepped**2, tiles)
+    p = orders.p
+    told = size if not np.isnan(p) else nan
+    named = bool(wrong.any()) and p < LEVEL
+    note = f"{100 * np.mean(wrong):.2g} % of the points" if named else ""
+    found = [Cause("orders", told, deviation, p, named, note, far=True)]
+    size, deviation, _ = tile_mean(np.where(orders.gross, distance, 0.0) ** 2, tiles)
+    share = float(np.mean(orders.gross))
+    note = f"{100 * share:.2g} % of the points" if share > 0.0 else ""
+    found.append(Cause("gross", size, deviation, nan, share >= _GROSS, note, far=True))
+    return found
