@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, AllowOutside, Json, print_json, print_table
+from slbench.cli.common import AllowModules, AllowOutside, Json, print_json, print_table, window_of
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 from slbench.core.validation.types import Grey
@@ -53,7 +53,7 @@ def characterise(
 
     check_output_file(out, (".toml",))
     hardware_output(out).check(out.parent, "--out")
-    window = None if edge is None else _window(edge)
+    window = None if edge is None else window_of(edge, "--edge")
     names = [str(folder) for folder in (*folders, *(even or ()))]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -78,11 +78,3 @@ def characterise(
         print(f"{lost.name}: not told, {lost.why}; capture {lost.capture}")
     beside = out.with_name(f"{out.stem}-characterise.png")
     print(f"Written to {out}" + (f": open {beside}" if picture else ""))
-
-
-def _window(text: str) -> tuple[int, int, int, int]:
-    parts = text.split(",")
-    if len(parts) != 4 or not all(part.strip().isdecimal() for part in parts):
-        raise InputError("--edge", "four whole numbers, such as 120,80,40,60", text)
-    u, v, width, height = (int(part) for part in parts)
-    return u, v, width, height

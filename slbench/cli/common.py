@@ -119,6 +119,21 @@ def size_of(text: str, option: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
+def window_of(text: str, option: str) -> tuple[int, int, int, int]:
+    """Return the window (u, v, width, height) of camera pixels that an option states by commas.
+
+    Raises
+    ------
+    InputError
+        Naming the option.
+    """
+    match = re.fullmatch(r"\s*(\d{1,5})\s*" + r",\s*(\d{1,5})\s*" * 3, text, re.ASCII)
+    if match is None:
+        raise InputError(option, "four whole numbers, such as 120,80,40,60", text)
+    u, v, width, height = map(int, match.groups())
+    return u, v, width, height
+
+
 def read_response(gamma: float | None, curve: Path | None) -> Response | None:
     """Return the projector's response by ``--gamma`` or ``--response``; None without either.
 

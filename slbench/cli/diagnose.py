@@ -17,9 +17,9 @@ from slbench.cli.common import (
     print_json,
     print_table,
     read_response,
+    window_of,
 )
 from slbench.cli.lazy import command
-from slbench.core.errors import InputError
 from slbench.core.validation.types import Positive
 
 
@@ -36,7 +36,7 @@ def diagnose(
     ] = "auto",
     region: Annotated[
         str | None,
-        typer.Option(metavar="X0,Y0,X1,Y1", help="Camera pixels of the object, ends left out."),
+        typer.Option(metavar="U,V,WIDTH,HEIGHT", help="Window of camera pixels with the object."),
     ] = None,
     diameter_mm: Annotated[
         Positive | None, typer.Option(help="Of the ball, as it is certified.")
@@ -55,7 +55,7 @@ def diagnose(
     from slbench.cloud.decoded import decode_capture
     from slbench.rig.opencv import read_rig
 
-    chosen = None if region is None else _box(region)
+    chosen = None if region is None else window_of(region, "--region")
     target = out or (measured if measured.is_dir() else measured.parent) / "diagnosis"
     DIAGNOSIS_FOLDER.check(target, "--out")
     shots = Capture.load(measured, allow_modules=allow_modules, allow_outside=allow_outside)
@@ -86,14 +86,3 @@ def diagnose(
     for sentence in result.sentences():
         print(sentence)
     print(f"Written to {target}: open {target / 'diagnosis.png'}")
-
-
-def _box(text: str) -> tuple[int, int, int, int]:
-    """Return left, top, right and bottom of a region that an option states."""
-    words = text.split(",")
-    if len(words) == 4 and all(word.strip().isdecimal() and len(word) < 8 for word in words):
-        left, top, right, bottom = map(int, words)
-        if left < right and top < bottom:
-            return left, top, right, bottom
-    expected = "left, top, right and bottom of camera pixels, such as 40,20,600,460"
-    raise InputError("--region", expected, text)

@@ -60,7 +60,7 @@ INSTEAD = {
 }
 
 #: Pages whose commands take a second or two.
-QUICK = {"register.md", "own-codes.md"}
+QUICK = {"register.md", "own-codes.md", "diagnose.md"}
 
 
 # -- what a page takes for granted --------------------------------------------------------------

@@ -55,8 +55,8 @@ def diagnose_capture(
     decoded : Decoded
         With points.
     shape : {"auto", "plane", "sphere"}
-    region : (int, int, int, int), optional
-        Camera pixels of the object: left, top, right and bottom, the last two left out.
+    region : (u, v, width, height), optional
+        Window of camera pixels with the object.
     diameter_mm : float, optional
         Of the sphere, as it is known.
     where : object
@@ -83,13 +83,16 @@ def diagnose_capture(
         )
     if region is not None:
         u, v = cloud.pixels.T
-        left, top, right, bottom = region
-        cloud = cloud.chosen((u >= left) & (u < right) & (v >= top) & (v < bottom))
+        left, top, width, height = region
+        inside = (u >= left) & (u < left + width) & (v >= top) & (v < top + height)
+        cloud = cloud.chosen(inside)
     fitted = _facing(fit_shape(cloud.points, shape, where), rig)
     if isinstance(fitted, Sphere):
         seen = [_faced(device, fitted, cloud.points) for device in (rig.camera, rig.projector)]
         cloud = cloud.chosen(np.logical_and(*seen))
-    axis, samples = _samples(decoded, rig, cloud.chosen(_inner(cloud)), fitted)
+    cloud = cloud.chosen(_inner(cloud))
+    fitted = _facing(fit_shape(cloud.points, _kind(fitted), where), rig)
+    axis, samples = _samples(decoded, rig, cloud, fitted)
     if len(samples.pixels) < MIN_POINTS:
         raise InputError(where, f"{MIN_POINTS} points at least on the shape", len(samples.pixels))
     step = -(-len(samples.pixels) // _MOST)
@@ -100,14 +103,16 @@ def diagnose_capture(
     notes = [f"of two coded axes, {axis} alone is looked at"] if len(cloud.axes) > 1 else []
     if decoded.noise_kind == "lower bound":
         notes.append("predicted noise is a lower bound: rounding alone")
-    return replace(
-        result, source=str(where), notes=(*result.notes, *notes), diameter_mm=diameter_mm
-    )
+    result = replace(result, source=str(where), notes=tuple(notes), diameter_mm=diameter_mm)
+    if isinstance(fitted, Sphere):
+        own = fitted.diameter_deviation_mm(cloud.points, result["noise"].rms_mm)
+        result = replace(result, diameter_deviation_mm=own)
+    return result
 
 
 def accepted(shape: Shape, points: Array, where: object):  # type: ignore[no-untyped-def]
     """Return what refuses points that are not of a shape: see :func:`judge`."""
-    kind = "sphere" if isinstance(shape, Sphere) else "plane"
+    kind = _kind(shape)
     width = width_mm(points)
 
     def accept(off: float, usual_mm: float) -> None:
@@ -121,6 +126,10 @@ def accepted(shape: Shape, points: Array, where: object):  # type: ignore[no-unt
             warn_user(where, f"{share}: if they are of something else, --region leaves it out")
 
     return accept
+
+
+def _kind(shape: Shape) -> ShapeKind:
+    return "sphere" if isinstance(shape, Sphere) else "plane"
 
 
 def _inner(cloud: PointCloud) -> NDArray[np.bool_]:

@@ -26,7 +26,9 @@ SIGNATURES: dict[str, Signature] = {
     "response": Signature(
         "ripple, N times the fringes",
         "the projector is not linear (gamma): N shifts take a harmonic of the fringes for phase",
-        "measure the response and decode with --gamma or --response, or take more shifts",
+        "measure the response and put its inverse into the pictures "
+        "(slbench patterns write --response), or take more shifts; "
+        "decode --response helps where lenses are sharp",
     ),
     "unequal light": Signature(
         "ripple, as the fringes",

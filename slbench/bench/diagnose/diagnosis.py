@@ -104,6 +104,8 @@ class Diagnosis:
         RMS by noise as it was predicted; NaN if it was not.
     diameter_mm : float or None
         Of the sphere, as it is known.
+    diameter_deviation_mm : float
+        Standard deviation of the fitted one by noise; NaN of a plane.
     parameters : mapping
         For the provenance.
     """
@@ -121,6 +123,7 @@ class Diagnosis:
     notes: tuple[str, ...] = ()
     predicted_mm: float = math.nan
     diameter_mm: float | None = None
+    diameter_deviation_mm: float = math.nan
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Cause:
@@ -167,10 +170,12 @@ class Diagnosis:
             lines.append("no systematic cause is told: what is left is noise.")
         if isinstance(self.shape, Sphere):
             measured = 2.0 * self.shape.radius
-            text = f"diameter {measured:.4f} mm"
+            text = f"diameter {measured:.4f} mm, {length(self.diameter_deviation_mm)} by noise"
             if self.diameter_mm is not None:
                 off = measured - self.diameter_mm
-                text += f", {1e3 * off:+.1f} µm ({1e6 * off / self.diameter_mm:+.0f} ppm) off"
+                text += (
+                    f", {1e3 * off:+.1f} µm ({1e6 * off / self.diameter_mm:+.0f} ppm) off the known"
+                )
             lines.append(text)
         return [*lines, *self.notes]
 
@@ -212,6 +217,7 @@ class Diagnosis:
             "source": self.source,
             "shape": self.shape.to_dict(),
             "known_diameter_mm": self.diameter_mm,
+            "diameter_deviation_mm": self.diameter_deviation_mm,
             "points": self.points,
             "rms_mm": self.rms_mm,
             "near_rms_mm": math.sqrt(self.near_mm2),

@@ -7,7 +7,8 @@ its distance from the shape.  Of fringes of period ``P`` from N frames:
   ``sin`` and ``cos`` of N times the fringes, and of 2 N;
 * frames of unequal light, ``g_k (A + B cos)``, make errors of once the fringes, A / B large, and of
   twice, 1 / 2;
-* unequal steps of phase make errors of twice the fringes (J. Schwider et al., Appl. Opt. 22, 1983);
+* unequal steps of phase make errors of twice the fringes (J. Schwider et al., Appl. Opt. 22, 1983),
+  and of bent fringes those of once and three times;
 * light from another place makes errors of once the fringes, as large as there is such light: they
   differ over the image.
 """
@@ -114,7 +115,8 @@ def terms_of(samples: Samples, waves: Waves) -> list[Group]:
     uneven = np.concatenate([once * c[:, None] for c in (x, y, x * x, x * y, y * y)], axis=1)
     # Of squares, what is even over the image is the even ripple's.
     uneven -= once @ np.linalg.lstsq(once, uneven, rcond=None)[0]
-    groups += [Group("unequal light", once), Group("vibration", ripple(period, (2,)))]
+    steps = (2,) if n == 3 else (2, 3)
+    groups += [Group("unequal light", once), Group("vibration", ripple(period, steps))]
     groups.append(Group("indirect light", uneven))
     if n > 2:
         groups.append(Group("response", ripple(period, (n, 2 * n))))
@@ -254,16 +256,30 @@ def _told_causes(fitted: list[Fitted], waves: Waves, within: float, good: float)
         other = uneven.mean_square_mm2 >= _UNEVEN * even.mean_square_mm2
         less, more = (even, uneven) if other else (uneven, even)
         found[less.name] = replace(less, named=False, note=f"part of the {more.name}'s")
-    twice, even = found.get("vibration"), found.get("unequal light")
-    # Unequal frames make B / (2 A) of it in the mean, and rarely more than twice that.
-    if (
-        (twice is not None and even is not None)
-        and (twice.named and even.named)
-        and twice.rms_mm <= waves.contrast * even.rms_mm
-    ):
+    twice, bent = found.get("vibration"), found.get("response")
+    if even is None or twice is None or not (found[even.name].named and twice.named):
+        return list(found.values())
+    if bent is not None and bent.named and even.rms_mm <= twice.rms_mm:
+        note = "no more than vibration of bent fringes makes"
+        found[even.name] = replace(even, named=False, note=note)
+    elif twice.rms_mm <= _largest_twice(waves) * even.rms_mm:
         note = "no more than unequal light makes"
         found[twice.name] = replace(twice, named=False, note=note)
     return list(found.values())
+
+
+def _largest_twice(waves: Waves) -> float:
+    """Return the ripple of twice the fringes that unequal light makes, by that of once.
+
+    Gains g_k make 2 A / (N B) |sum g exp(i d)| and 1 / N |sum g exp(2 i d)|.  Of three frames both
+    sums are as large; of others, the ratio of independent gains is below this in 95 %.
+    """
+    from scipy.stats import f as fisher
+
+    share = 0.5 * waves.contrast
+    if waves.shifts == 3:
+        return share * 1.2  # and what noise and a bent response do to it
+    return share * float(np.sqrt(fisher.ppf(0.95, 1 if waves.shifts == 4 else 2, 2)))
 
 
 def _far_causes(

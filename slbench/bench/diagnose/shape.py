@@ -128,6 +128,12 @@ class Sphere:
             return Sphere(self.centre, self.radius + step)
         return Sphere(self.centre + step * np.eye(3)[k], self.radius)
 
+    def diameter_deviation_mm(self, points: Array, spread_mm: float) -> float:
+        """Return the standard deviation of its diameter by independent errors of points, mm."""
+        jacobian = np.column_stack((self.outward(points), np.ones(len(points))))
+        inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+        return float(2.0 * spread_mm * np.sqrt(inverse[3, 3]))
+
     @property
     def axes(self) -> Array:
         """World x and y, (2, 3)."""
@@ -164,7 +170,7 @@ def fit_shape(
     Raises
     ------
     InputError
-        For fewer than 500 points, or points on one line.
+        For fewer than 500 points, points on one line, or a sphere that is no better than a plane.
     """
     if len(points) < MIN_POINTS:
         raise InputError(where, f"{MIN_POINTS} points at least of a plane or a sphere", len(points))
@@ -172,14 +178,18 @@ def fit_shape(
     rng = generator(0)
     if len(rows) > _SEARCHED:
         rows = rng.permutation(len(points))[:_SEARCHED]
-    if kind != "auto":
-        return _refined(points, _searched(points[rows], kind, rng, where)[0])
     plane, flat = _searched(points[rows], "plane", rng, where)
+    if kind == "plane":
+        return _refined(points, plane)
     try:
         sphere, curved = _searched(points[rows], "sphere", rng, where)
     except InputError:
-        return _refined(points, plane)
-    return _refined(points, sphere if curved < flat else plane)
+        curved = np.inf
+    if curved < flat:
+        return _refined(points, sphere)
+    if kind == "sphere":
+        raise InputError(where, "points of a sphere; --region chooses them", "nearer to a plane")
+    return _refined(points, plane)
 
 
 def width_mm(points: Array) -> float:
