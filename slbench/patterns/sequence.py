@@ -46,6 +46,11 @@ MAX_ORDER_RESIDUAL = 0.3
 #: Words of the short text that force a way to tell fringes apart; "gray" is a code.
 _WAYS = tuple(way for way in get_args(Unwrap) if way not in ("auto", "gray"))
 
+#: Sets that have a name.  By "characterisation" a camera and a projector are characterised: a ramp
+#: of grey, for noise and response; one fringe and few, several times, for vibration; and many, for
+#: blur.
+NAMED = {"characterisation": "ramp9+" * 4 + "1,8@8+8@8+8@8+8@8+64@8"}
+
 #: Spaces that part nothing: about the signs of the short text and a decoder's bar, before a unit.
 _BESIDE_SIGNS = re.compile(r"\s*([,+@/|])\s*|\s+(?=px)")
 
@@ -150,7 +155,7 @@ class PatternSequence(Value):
         """Short text such as ``"gray+1,10,50@4"``, which :meth:`parse` reads back.
 
         The coded axes are not part of it, nor are `max_order_residual` and `crosstalk`; and what
-        the short text has no word for (a grey flat, a Gray code without inverses, two axes coded
+        the short text has no word for (a Gray code without inverses, two axes coded
         differently, the direction of fringes) is shown but not parsed.
         """
         alone = {axis: [p for p in self.parts if p.axes == (axis,)] for axis in self.axes}
@@ -384,7 +389,7 @@ class PatternSequence(Value):
             ``"gray+16@8"``.  A count is any real number (``28.8@4``), or a period (``22.5px``);
             ``@0/90/180`` is a list of shifts in degrees.  A last word forces what tells fringes
             apart: ``"15,16@4+heterodyne"``, ``"16@4+spatial"``.  Spaces stand beside these signs
-            alone: ``"1 10 50"`` is not ``"11050"``.
+            alone: ``"1 10 50"`` is not ``"11050"``.  A name of :data:`NAMED` is a whole set.
         panel : (int, int)
             Panel width and height in pixels.
         shifts : int
@@ -402,6 +407,7 @@ class PatternSequence(Value):
         if axes not in ("u", "v", "uv", "vu"):
             raise InputError("patterns: axes", '"u", "v", "uv" or "vu"', repr(axes))
         found = compact(text)
+        found = NAMED.get(found, found)
         joined = re.sub(r"\s+", "+", re.sub(r"(?<=\d)\s+(?=\d)", ",", found))
         *words, last = joined.split("+")
         forced = bool(words) and last in _WAYS

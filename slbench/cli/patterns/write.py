@@ -34,7 +34,8 @@ def write(
     own = read_response(gamma, response) or LINEAR
     write_pictures(sequence, out, bits=bits, response=own, border_px=border_px)
     count = sequence.n_frames // sequence.channels
+    verb = "characterise" if patterns.strip() == "characterisation" else "decode"
     print(
         f"Written to {out}: project {out / 'patterns'} in order, put the {count} photographs into "
-        f"{out / PHOTOGRAPHS} under the same names, then: slbench decode {out}"
+        f"{out / PHOTOGRAPHS} under the same names, then: slbench {verb} {out}"
     )

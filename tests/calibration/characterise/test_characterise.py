@@ -65,6 +65,25 @@ def test_a_scan_tells_the_scene_that_it_is_of(tmp_path):
     assert found["vibration"].low < 0.1 < found["vibration"].high
 
 
+def test_the_named_set_tells_all_that_needs_no_more(tmp_path):
+    words = {
+        "patterns.sequence": "characterisation", "projector.gamma": 1.8, "detector.bit_depth": 12,
+        "exposure.vibration_px": 0.3,
+    }  # fmt: skip
+    changes = [word for key, value in words.items() for word in ("--set", f"{key}={value}")]
+    outcome = run_cli("scan", "plane", "--preview", *changes, "--out", tmp_path / "run")
+    assert outcome.status == 0, outcome.err
+    found = characterise({"run": Capture.load(tmp_path / "run")})
+    scene = load_scene("plane", preview=True)
+    assert found["gain"].value == pytest.approx(scene.detector.full_well_e / (4095 - 32), rel=0.03)
+    assert found["PRNU"].value == pytest.approx(scene.detector.prnu, rel=0.05)
+    assert found["gamma"].value == pytest.approx(1.8, rel=0.01)
+    # 21 degrees of freedom; a preview's pixels are twice as large.
+    assert found["vibration"].low < 0.15 < found["vibration"].high
+    named = {one.name for one in found.quantities}
+    assert {"black level", "read noise", "DSNU", "projector blur"} <= named
+
+
 def test_a_folder_twice_is_no_repeat(runs):
     outcome = run_cli("characterise", runs / "run0", runs / "run0", "--out", runs / "h.toml")
     assert outcome.status == 2
