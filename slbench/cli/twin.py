@@ -83,7 +83,8 @@ def twin(
     from slbench.capture.capture import Capture
     from slbench.rig.opencv import read_rig
     from slbench.rig.parameters import covariance_beside
-    from slbench.twin.twin import TWIN_FOLDER, TwinObject, make_twin, write_twin
+    from slbench.twin.content import TwinObject
+    from slbench.twin.twin import TWIN_FOLDER, make_twin, write_twin
 
     TWIN_FOLDER.check(out, "--out")
     looks = material or ["matt-white-spray"]

@@ -8,7 +8,6 @@ scene runs on it.
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -20,36 +19,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture
-from slbench.capture.noise import noise_of
 from slbench.cloud.decoded import decode_capture
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import InputError, InputWarning, located, warn_user
-from slbench.core.io import OutputFolder, write_json, write_toml
-from slbench.core.show.display import block, brief
+from slbench.core.io import OutputFolder, write_json
+from slbench.core.show.display import block
 from slbench.core.show.drawing import figure
-from slbench.detector.emva1288 import Detector
-from slbench.objects import Artefact, build_artefact, load_artefact
+from slbench.objects import Artefact
 from slbench.objects.mesh.file import SUFFIXES
-from slbench.patterns import Fringes
-from slbench.rig import Pose
-from slbench.rig.opencv import write_rig
-from slbench.rig.shading import shading
-from slbench.scene.devices.detector import SheetKeys
-from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
-from slbench.scene.file import load_scene, read_merged
+from slbench.scene.file import load_scene
 from slbench.scene.model import Scene
-from slbench.scene.tables import CameraBeside, ProjectorBeside
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.expose import capture as exposed
-from slbench.simulate.expose import radiance_batches, shutter_for
-from slbench.simulate.stack import traced
-from slbench.simulate.transport import LightTransport
-from slbench.twin.light import Light, fit_blur, fit_light
+from slbench.simulate.expose import shutter_for
+from slbench.twin.content import (
+    AMBIENT_W_PER_M2,
+    TwinObject,
+    has_fringes,
+    twin_content,
+    write_scene,
+)
+from slbench.twin.fit import Fit, radiance_of, with_light
+from slbench.twin.hardware import hardware_tables
+from slbench.twin.light import Light
 from slbench.twin.likeness import (
-    LEAST,
     Likeness,
     PointLikeness,
-    averaged,
     contrast_likeness,
     frame_likeness,
     noise_likeness,
@@ -62,58 +57,12 @@ Frames = NDArray[np.float32]
 
 TWIN_FOLDER = OutputFolder(
     "twin",
-    ("twin.toml", "twin.json", "twin.png", "rig.yaml", "*.csv", *(f"*{s}" for s in SUFFIXES)),
+    ("twin.toml", "twin.json", "twin.png", "rig.yaml", *(f"*{one}" for one in SUFFIXES)),
 )
-#: Samples a pixel, by default; irradiance of the surroundings that ambient light is fitted with.
-SAMPLES, _AMBIENT_W_PER_M2 = 64, 1.0
-#: Border of what is compared, px.
-_BORDER = 4
+#: Samples a pixel, by default.
+SAMPLES = 64
 #: Share of the points that may lie on no object.
 _UNEXPLAINED = 0.2
-#: Bits of the twin's frames where photographs are floats.
-_FLOAT_BITS = 16
-
-
-@dataclass(frozen=True, kw_only=True)
-class TwinObject:
-    """An object of the twin and about where it is.
-
-    Parameters
-    ----------
-    shape : str
-        ``"plane"``, as large as what is seen of it; the name of a shipped artefact; or a mesh
-        file.
-    unit : str or None
-        Of a mesh file.
-    material : str
-        A preset's name.
-    start : Pose or None
-        Looked for by default.
-    """
-
-    shape: str
-    unit: str | None = None
-    material: str = "matt-white-spray"
-    start: Pose | None = None
-
-    __repr__ = brief
-
-    def artefact(self) -> Artefact:
-        """Return its artefact; a plane of any size.
-
-        Raises
-        ------
-        InputError
-            For no artefact, or a mesh file without a unit.
-        """
-        if self.shape == "plane":
-            return build_artefact("plane", {"size_mm": [1e3, 1e3]}, "plane")
-        if Path(self.shape).suffix.lower() in SUFFIXES:
-            if self.unit is None:
-                raise InputError(self.shape, "the unit of the mesh file, such as mm", "none")
-            given = {"path": self.shape, "unit": self.unit}
-            return build_artefact("mesh", given, self.shape, name=Path(self.shape).stem)
-        return load_artefact(self.shape)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -172,7 +121,7 @@ class Twin:
             for one in self.places
         ]
         fitted = {"white_level": self.scene.exposure.white_level, "shading": self.light.shading}
-        fitted["ambient_w_per_m2"] = self.light.ambient * _AMBIENT_W_PER_M2
+        fitted["ambient_w_per_m2"] = self.light.ambient * AMBIENT_W_PER_M2
         fitted["black_dn"] = self.scene.detector.black_dn
         if self.blur_px is not None:
             fitted["projector_blur_px"] = self.blur_px
@@ -246,20 +195,20 @@ def make_twin(
     every = _joined(capture, held_out)
     out = _held_out(capture, len(every.frames))
     given = hardware_tables(hardware, capture)
-    content, files = _content(name, capture, objects, places, given, bounces, samples)
+    content, files = twin_content(name, capture, objects, places, given, bounces, samples)
     with tempfile.TemporaryDirectory() as folder:
         write_scene(Path(folder), content, capture, files)
         with located(f"twin of {hardware}" if hardware else "twin"):
             base = load_scene(Path(folder) / "twin.toml")
         report("trace", 0.0)
-        fit = _Fit(base, every, out, decoded.phase.mask, seed)
+        fit = Fit(base, every, out, decoded.phase.mask, seed)
         blur = None
-        if _has_fringes(capture):
+        if has_fringes(capture):
             blur = fit.lacking_blur()
             if blur:
                 report("trace", 0.5)
                 fit = fit.blurred(blur)
-        content = _with_light(content, fit, blur)
+        content = with_light(content, fit, blur)
         write_scene(Path(folder), content, capture, files)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", InputWarning)  # said of the first
@@ -337,292 +286,8 @@ def _held_out(capture: Capture, count: int) -> Mask:
     return out
 
 
-def hardware_tables(path: str | Path | None, capture: Capture) -> dict[str, dict[str, Any]]:
-    """Return the tables of a hardware file, with the capture's noise where it has none.
-
-    Parameters
-    ----------
-    path : path or None
-    capture : Capture
-
-    Returns
-    -------
-    dict
-        ``camera``, ``projector``, ``detector`` and ``exposure``.
-
-    Raises
-    ------
-    InputError
-        For another camera's resolution or bit depth.
-    """
-    read = {} if path is None else read_merged(Path(path))
-    tables = {name: dict(read.get(name, {})) for name in ("camera", "projector", "detector")}
-    tables["exposure"] = {
-        key: value for key, value in read.get("exposure", {}).items() if key == "vibration_px"
-    }
-    sizes = {"camera": capture.frames.shape[1:][::-1], "projector": capture.sequence.panel}
-    of_the_rig = {
-        "camera": set(CameraOptics.model_fields) - set(CameraBeside.model_fields),
-        "projector": set(ProjectorOptics.model_fields) - set(ProjectorBeside.model_fields),
-    }
-    for role, keys in of_the_rig.items():
-        stated = tables[role].get("resolution_px")
-        if stated is not None and tuple(stated) != tuple(sizes[role]):
-            expected = f"{list(sizes[role])}, as the capture has"
-            raise InputError(f"{path}: {role}.resolution_px", expected, stated)
-        for key in keys:
-            tables[role].pop(key, None)
-    detector = tables["detector"]
-    depth = capture.bit_depth or _FLOAT_BITS
-    if detector.setdefault("bit_depth", depth) != depth:
-        expected = f"{capture.bit_depth}, as the capture has"
-        raise InputError(f"{path}: detector.bit_depth", expected, detector["bit_depth"])
-    if not set(detector) & {"gain_e_per_dn", "full_well_e", *SheetKeys.model_fields}:
-        phase = capture.decode(keep_evidence=True)
-        noise, kind = noise_of(capture, phase)
-        if kind == "lower bound" or noise.gain_dn_per_e == 0.0:
-            raise InputError(
-                "twin",
-                "a camera whose noise is known: --hardware, [noise] in capture.toml, or fringes of "
-                "four shifts or more",
-                "none",
-            )
-        gain = 1.0 / noise.gain_dn_per_e
-        detector |= {"gain_e_per_dn": gain, "read_noise_e": noise.read_dn * gain}
-        detector.setdefault("offset_dn", max(noise.offset_dn, 0.0))
-    if "gain_e_per_dn" in detector and not set(detector) & {"full_well_e", "snr_max_db"}:
-        top = min(capture.top_dn, 2.0 ** detector["bit_depth"] - 1.0)
-        black = detector.get("offset_dn", 0.0)
-        detector["full_well_e"] = (top - black) * detector["gain_e_per_dn"]
-    detector.setdefault("dark_current_e_per_s", 0.0)
-    return tables
-
-
-def _content(
-    name: str,
-    capture: Capture,
-    objects: Sequence[TwinObject],
-    places: Sequence[Place],
-    given: Mapping[str, dict[str, Any]],
-    bounces: int | None,
-    samples: int,
-) -> tuple[dict[str, Any], dict[str, Path]]:
-    """Return a scene's content, but for its light, and the mesh files that it names."""
-    from scipy.spatial.transform import Rotation
-
-    files: dict[str, Path] = {}
-    rows = []
-    for one, placed in zip(objects, places, strict=True):
-        shape: dict[str, Any] = {"artefact": one.shape}
-        if one.shape == "plane":
-            shape = {"kind": "plane", "parameters": {"size_mm": _plane_size(placed)}}
-        elif Path(one.shape).suffix.lower() in SUFFIXES:
-            files[Path(one.shape).name] = Path(one.shape)
-            shape = {"mesh": Path(one.shape).name, "unit": one.unit}
-        turn = Rotation.from_matrix(placed.pose.rotation).as_euler("XYZ", degrees=True)
-        where = {"position_mm": placed.pose.position.tolist(), "rotation_deg": turn.tolist()}
-        rows.append(shape | where | {"material": one.material})
-    alone = all(one.shape == "plane" for one in objects) and len(objects) == 1
-    light = {
-        "ambient_w_per_m2": _AMBIENT_W_PER_M2,
-        "bounces": (0 if alone else 2) if bounces is None else bounces,
-    }
-    tables = {key: dict(given[key]) for key in ("camera", "projector", "detector", "exposure")}
-    tables["camera"]["shading"] = []  # fitted, as is the blur where fringes tell it
-    if _has_fringes(capture):
-        tables["projector"]["blur_px"] = 0.0
-    return {
-        "name": name,
-        "description": "Twin of a scanner, by what it photographed",
-        "rig": {"file": "rig.yaml"},
-        **tables,
-        "light": light,
-        "objects": rows,
-        "patterns": {"parts": capture.sequence.to_dict()["parts"]},
-        "render": {"samples": samples},
-    }, files
-
-
-def _plane_size(placed: Place) -> list[float]:
-    """Return the size of a plate that reaches as far as the points on it."""
-    on_it = np.isfinite(placed.residual_mm)
-    local = placed.pose.to_local(placed.truth.point[on_it])
-    reach = np.abs(local[:, :2]).max(axis=0)
-    return (2.0 * reach).tolist()
-
-
-def write_scene(
-    folder: Path, content: Mapping[str, Any], capture: Capture, files: Mapping[str, Path]
-) -> None:
-    """Write a twin's scene, its rig and its meshes."""
-    assert capture.rig is not None
-    write_rig(folder / "rig.yaml", capture.rig, capture.rig_covariance)
-    for name, path in files.items():
-        shutil.copyfile(path, folder / name)
-    write_toml(folder / "twin.toml", content)
-
-
-def _black(detector: Detector, capture: Capture) -> Detector:
-    """Return a detector whose black level is not above the capture's own black frames.
-
-    That of another capture may have stray light in it, whose noise is part of its read noise.
-    """
-    dark = [
-        capture.frames[k]
-        for k, frame in enumerate(capture.sequence.frames())
-        if frame.part.flat_level(frame.index) == 0.0
-    ]
-    if not dark:
-        return detector
-    least = float(np.quantile(averaged(np.mean(dark, axis=0), np.ones(dark[0].shape, bool)), 0.01))
-    return _lifted(detector, min(least - detector.black_dn, 0.0))
-
-
-def _lifted(detector: Detector, by_dn: float) -> Detector:
-    """Return a detector of another black level and the same noise of every digital number."""
-    black = max(detector.black_dn + by_dn, 0.0)
-    more_e = (black - detector.black_dn) * detector.e_per_dn
-    read_e = float(np.sqrt(max(detector.read_noise_e**2 + more_e, 0.0)))
-    return replace(detector, offset_dn=black, read_noise_e=read_e, gain_e_per_dn=detector.e_per_dn)
-
-
-def _has_fringes(capture: Capture) -> bool:
-    return any(isinstance(part, Fringes) for part in capture.sequence.parts)
-
-
-class _Fit:
-    """Light and frames of a scene beside photographs, and what is fitted to them."""
-
-    def __init__(self, scene: Scene, capture: Capture, out: Mask, mask: Mask, seed: int) -> None:
-        if not isinstance(scene.detector, Detector):
-            raise InputError(
-                "twin: detector", "an EMVA 1288 detector", type(scene.detector).__name__
-            )
-        self.scene = replace(scene, sequence=capture.sequence)
-        self.capture, self.out, self.mask, self.seed = capture, out, mask, seed
-        self.detector: Detector = _black(scene.detector, capture)
-        self.scene = replace(self.scene, detector=self.detector)
-        self.transport = traced(self.scene, seed=seed)[0]
-        self.truth = _truth(self.scene)
-        lit = np.all(capture.frames < capture.top_dn, axis=0)
-        self.where = _inner(self.truth.smooth() & mask & lit)
-        if np.count_nonzero(self.where) < LEAST:
-            raise InputError(
-                "twin",
-                f"at least {LEAST} pixels of smooth, lit, unsaturated surface on the object",
-                int(np.count_nonzero(self.where)),
-            )
-        self.radiance = _radiance(self.transport, self.scene)
-        self.light = self._light()
-
-    def _light(self) -> Light:
-        where, fitted = self.where, ~self.out
-        v, u = np.nonzero(where)
-        camera = self.scene.rig.camera
-        ambient = self.transport.ambient[where].astype(np.float64)
-        frames = self.capture.frames[fitted][:, where].astype(np.float64)
-        return fit_light(
-            frames - self.detector.black_dn,
-            np.asarray(self.detector.noise_model().variance(frames)),
-            self.radiance[fitted][:, where] - ambient,
-            ambient,
-            np.stack((u, v), axis=1),
-            (camera.width, camera.height),
-            self.detector.black_dn,
-        )
-
-    def lacking_blur(self) -> float:
-        """Return the blur of the projector that the fitted fringes lack, px along u."""
-        camera = self.scene.rig.camera
-        own = shading(self.light.shading, camera.pixel_grid(), (camera.width, camera.height))
-        ambient = (self.light.ambient - 1.0) * self.transport.ambient
-        frames = (self.light.gain * own * (self.radiance + ambient)).astype(np.float32)
-        found = contrast_likeness(self.capture, frames, self.where, self.out)
-        told = [one for one in found if not one.held_out] or found
-        pitch = self.scene.rig.projector.pitch_mm
-        along = {"u": 1.0, "v": pitch[0] / pitch[1]}
-        return fit_blur(
-            [along[one.axis] * one.cycles_per_px for one in told], [one.ratio for one in told]
-        )
-
-    def blurred(self, blur_px: float) -> _Fit:
-        """Return the same with a projector that blurs."""
-        rig = self.scene.rig
-        scene = replace(
-            self.scene, rig=rig.having(projector=replace(rig.projector, blur_px=blur_px))
-        )
-        return _Fit(scene, self.capture, self.out, self.mask, self.seed)
-
-    @property
-    def photons(self) -> float:
-        """Photons a unit of radiance that the fitted gain means."""
-        return self.light.gain * self.detector.e_per_dn / self.detector.quantum_efficiency
-
-    def exposed(self, scene: Scene) -> _Fit:
-        """Return the fit traced as the finished scene, its exposure by the same frames."""
-        return _Fit(scene, self.capture, self.out, self.mask, self.seed)
-
-
-def _with_light(content: Mapping[str, Any], fit: _Fit, blur: float | None) -> dict[str, Any]:
-    """Return a scene's content with the light that was fitted."""
-    done = {
-        key: dict(value) if isinstance(value, dict) else value for key, value in content.items()
-    }
-    light = fit.light
-    done["light"]["ambient_w_per_m2"] = light.ambient * _AMBIENT_W_PER_M2
-    done["camera"]["shading"] = list(light.shading)
-    detector = _lifted(fit.detector, light.black_dn)
-    for key in ("offset_dn", "read_noise_e", "gain_e_per_dn"):
-        done["detector"][key] = getattr(detector, key)
-    if blur is not None:
-        done["projector"]["blur_px"] = blur
-    # Where the automatic exposure puts the lit picture at this gain.
-    camera = replace(fit.scene.rig.camera, shading=light.shading)
-    grid = camera.pixel_grid()
-    own = camera.relative_illumination(grid) / fit.scene.rig.camera.relative_illumination(grid)
-    ambient = fit.transport.ambient * own.astype(np.float32)
-    marginals = {
-        name: rows.scaled(np.nan_to_num(own).ravel())
-        for name, rows in fit.transport.marginals.items()
-    }
-    shaded = replace(fit.transport, marginals=marginals, ambient=light.ambient * ambient)
-    usual = replace(fit.scene.exposure, time_s=None, white_level=0.5)
-    factor = shutter_for(shaded, camera, fit.detector, usual).photons
-    level = 0.5 * fit.photons / factor
-    if level > 1.0:
-        warn_user(
-            "twin",
-            f"the white panel would be {level:.3g} times saturation: frames that saturate, or a "
-            "gain or full well of another camera",
-        )
-    done["exposure"]["white_level"] = min(level, 1.0)
-    return done
-
-
-def _inner(mask: Mask) -> Mask:
-    """Return a mask without its border, where edges and blur are seen."""
-    from scipy.ndimage import binary_closing, binary_erosion
-
-    # Single pixels that noise left out have no border.
-    whole = binary_closing(mask, iterations=1) | mask
-    return mask & np.asarray(binary_erosion(whole, iterations=_BORDER))
-
-
-def _truth(scene: Scene) -> GroundTruth:
-    from slbench.simulate.render.groundtruth import ground_truth
-
-    return ground_truth(scene.objects, scene.rig)
-
-
-def _radiance(transport: LightTransport, scene: Scene) -> Frames:
-    frames = np.empty((scene.sequence.n_frames, *transport.shape), np.float32)
-    for indices, radiance in radiance_batches(transport, scene.sequence, scene.rig.projector):
-        frames[indices] = radiance
-    return frames
-
-
 def _compared(
-    fit: _Fit,
+    fit: Fit,
     places: tuple[Place, ...],
     files: Mapping[str, Path],
     content: dict[str, Any],
@@ -639,7 +304,7 @@ def _compared(
         return detector.expected_dn(radiance * shutter.photons, shutter.time_s).astype(np.float32)
 
     expected, half = mean_frames(fit.radiance), fit.transport.half()
-    halved = expected if half is None else mean_frames(_radiance(half, scene))
+    halved = expected if half is None else mean_frames(radiance_of(half, scene))
     simulated = exposed(
         *(fit.transport, capture.sequence, scene.rig, detector, scene.exposure),
         seed=seed,
@@ -653,6 +318,7 @@ def _compared(
             frames=simulated.frames[: alone.n_frames],
             sequence=alone,
             min_modulation_dn=capture.min_modulation_dn,
+            response=capture.response,
         )
     )
     assert decoded.cloud is not None  # there is a rig

@@ -14,8 +14,8 @@ from slbench.rig import Pose
 from slbench.scene import load_scene
 from slbench.scene.model import SceneObject
 from slbench.simulate.render.groundtruth import ground_truth
+from slbench.twin import TwinObject
 from slbench.twin.placing import place
-from slbench.twin.twin import TwinObject
 
 
 def measured(scene, artefact, pose, *, noise_mm=0.01, wrong=0.0, seed=0):
