@@ -12,6 +12,9 @@ from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 from slbench.core.validation.types import Grey
 
+#: Files by whose times a capture's hour is told.
+_PICTURES = {".png", ".tif", ".tiff", ".bmp", ".pgm", ".jpg", ".jpeg"}
+
 
 @command("slbench characterise run1 run2 run3 --out hardware.toml")
 def characterise(
@@ -35,6 +38,13 @@ def characterise(
         list[Path] | None,
         typer.Option(help="Captures of a surface that is equally bright everywhere; give each."),
     ] = None,
+    hours: Annotated[
+        str | None,
+        typer.Option(
+            metavar="H,H,...",
+            help='When each folder was captured, for drift: 0,0.5,1; or "files" by their times.',
+        ),
+    ] = None,
     picture: Annotated[
         bool, typer.Option("--picture/--no-picture", help="Draw NAME-characterise.png.")
     ] = True,
@@ -54,6 +64,7 @@ def characterise(
     check_output_file(out, (".toml",))
     hardware_output(out).check(out.parent, "--out")
     window = None if edge is None else window_of(edge, "--edge")
+    times = None if hours is None else _hours(hours, folders)
     names = [str(folder) for folder in (*folders, *(even or ()))]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
@@ -63,7 +74,7 @@ def characterise(
         for name in names
     }
     evenly = {str(folder): captures.pop(str(folder)) for folder in even or ()}
-    found = measured(captures, black_dn=black_dn, edge=window, even=evenly)
+    found = measured(captures, black_dn=black_dn, edge=window, even=evenly, hours=times)
     files = {}
     if picture:
         from slbench.report.plots.characterise import write_characterisation_picture
@@ -78,3 +89,26 @@ def characterise(
         print(f"{lost.name}: not told, {lost.why}; capture {lost.capture}")
     beside = out.with_name(f"{out.stem}-characterise.png")
     print(f"Written to {out}" + (f": open {beside}" if picture else ""))
+
+
+def _hours(text: str, folders: list[Path]) -> list[float]:
+    """Return the hours of folders: as stated, or when their pictures were written."""
+    if text.strip() == "files":
+        return [_written_hours(folder) for folder in folders]
+    try:
+        return [float(part) for part in text.split(",")]
+    except ValueError:
+        raise InputError("--hours", "hours such as 0,0.5,1, or files", text) from None
+
+
+def _written_hours(folder: Path) -> float:
+    root = folder.parent if folder.suffix.lower() == ".toml" else folder
+    times = [
+        file.stat().st_mtime
+        for file in root.rglob("*")
+        # What is projected is no picture that the camera took.
+        if file.suffix.lower() in _PICTURES and file.parent.name != "patterns"
+    ]
+    if not times:
+        raise InputError("--hours", f"pictures in {folder}", "none")
+    return min(times) / 3600.0

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from slbench.calibration.characterise import motion, noise, response, shading, spread
+from slbench.calibration.characterise import drift, motion, noise, response, shading, spread
 from slbench.calibration.characterise.frames import Shot, check_alike, flats, shots
 from slbench.calibration.characterise.quantity import Quantity, Untold
 from slbench.capture.capture import Capture
@@ -40,6 +40,8 @@ class Characterisation:
         The projector's response.
     contrasts : tuple of Contrast
         Contrast of fringes, of each axis.
+    series : tuple of Series
+        What was followed over time.
     """
 
     folders: tuple[str, ...]
@@ -49,6 +51,7 @@ class Characterisation:
     transfer: noise.Transfer | None = None
     curve: response.Curve | None = None
     contrasts: tuple[spread.Contrast, ...] = ()
+    series: tuple[drift.Series, ...] = ()
 
     def __repr__(self) -> str:
         lines = [f"{one.name}: {one}" for one in self.quantities]
@@ -86,11 +89,12 @@ class Characterisation:
             "photon_transfer": _plain(self.transfer),
             "response": _plain(self.curve),
             "contrast": [_plain(one) for one in self.contrasts],
+            "drift": [_plain(one) for one in self.series],
         }
 
 
 def _plain(
-    curve: noise.Transfer | response.Curve | spread.Contrast | None,
+    curve: noise.Transfer | response.Curve | spread.Contrast | drift.Series | None,
 ) -> dict[str, Any] | None:
     if curve is None:
         return None
@@ -115,6 +119,7 @@ def characterise(
     black_dn: float | None = None,
     edge: tuple[int, int, int, int] | None = None,
     even: Mapping[str, Capture] | None = None,
+    hours: Sequence[float] | None = None,
 ) -> Characterisation:
     """Measure what captures tell of their camera and projector.
 
@@ -128,6 +133,8 @@ def characterise(
         Window of the white frame that holds one straight edge, a little turned to the pixels.
     even : mapping of str to Capture, optional
         Pictures of a surface that is equally bright everywhere, for the camera's shading.
+    hours : sequence of float, optional
+        When each of the captures was taken, for slow drift.
 
     Returns
     -------
@@ -204,6 +211,8 @@ def characterise(
     whole.take(*shading.white_shading(found, next(iter(shaded[0]), None), level_dn, top))
     whole.take(*shaken)
     whole.take(motion.flicker(moves))
+    quantities, lost, followed = drift.drift(captures, hours, found, moves, level_dn, top)
+    whole.take(quantities, lost)
     return Characterisation(
         folders=(*captures, *evenly),
         bit_depth=one.bit_depth,
@@ -212,6 +221,7 @@ def characterise(
         transfer=curve,
         curve=light,
         contrasts=tuple(contrasts),
+        series=followed,
     )
 
 

@@ -79,12 +79,22 @@ def _draw_contrast(axes: Any, found: Characterisation) -> None:
     axes.legend(fontsize=8)
 
 
+def _draw_drift(axes: Any, found: Characterisation) -> None:
+    for one in found.series:
+        axes.plot(one.hours, one.value, "o-", markersize=4, label=f"{one.name} / {one.unit}")
+    axes.set_xlabel("hours")
+    axes.set_ylabel("since the first")
+    axes.set_title("drift")
+    axes.legend(fontsize=8)
+
+
 _PANELS: tuple[
     tuple[Callable[[Characterisation], bool], Callable[[Any, Characterisation], None]], ...
 ] = (
     (lambda found: found.transfer is not None, _draw_transfer),
     (lambda found: found.curve is not None, _draw_response),
     (lambda found: bool(found.contrasts), _draw_contrast),
+    (lambda found: bool(found.series), _draw_drift),
 )
 
 
