@@ -83,7 +83,7 @@ def drift(
     at = np.asarray(hours, np.float64)
     if len(at) != len(captures):
         raise InputError("hours", f"{len(captures)}, one a folder", len(at))
-    if not np.all(np.diff(at) > 0.0):
+    if not (np.isfinite(at).all() and np.all(np.diff(at) > 0.0)):
         raise InputError("hours", "times that grow, in the order of the folders", list(hours))
     if len(at) < _LINE:
         return [], [Untold(name, f"{len(at)} times tell no line", f"{_LINE} or more")], ()

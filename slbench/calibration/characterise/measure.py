@@ -177,8 +177,8 @@ def characterise(
             )
         )
     shaken = motion.vibration(found, moves)
-    used = _still(found, samples, shaken[0])
-    method = f"photon transfer of {len(used)} repeated frames"
+    used, among = _still(found, samples, shaken[0])
+    method = f"photon transfer of {len(used)} repeated frames{among}"
     if not used:
         used = _fitted(captures)
         method = f"what a sinusoid leaves of {len(used)} sets of fringes"
@@ -244,12 +244,17 @@ def _black(
 
 def _still(
     found: Sequence[Shot], samples: Mapping[int, noise.Sample], vibration: Sequence[Quantity]
-) -> list[noise.Sample]:
-    """Return samples of repeats; of the flat ones alone where fringes moved and these suffice."""
+) -> tuple[list[noise.Sample], str]:
+    """Return samples of repeats; of the flat ones alone where fringes moved and these suffice.
+
+    Words about the others go with them.
+    """
     flat = [k for k in samples if found[k].level is not None]
-    moved = any(one.value > _SHAKEN_PX for one in vibration)
-    enough = len({found[k].level for k in flat}) >= _LEVELS
-    return [samples[k] for k in (flat if moved and enough else samples)]
+    if not any(one.value > _SHAKEN_PX for one in vibration):
+        return list(samples.values()), ""
+    if len({found[k].level for k in flat}) >= _LEVELS:
+        return [samples[k] for k in flat], ""
+    return list(samples.values()), ", vibrating fringes among them (flat ones would tell more)"
 
 
 def _fitted(captures: Mapping[str, Capture]) -> list[noise.Sample]:

@@ -113,7 +113,9 @@ def moves_of(stack: NDArray[np.float32], top: float) -> tuple[Moves, NDArray[np.
         still = rest - moved - np.tensordot(_squares(found), second, axes=1)
     # Displacements are relative to the mean of all repeats.
     spread = sigma**2 * variance.max(axis=0) * (1.0 - 1.0 / count)
-    return Moves(-told[:, :2], spread[:2], told[:, 2], float(spread[2])), still + mean
+    # A brighter repeat's slopes are steeper.
+    shift = -told[:, :2] / (1.0 + told[:, 2:3])
+    return Moves(shift, spread[:2], told[:, 2], float(spread[2])), still + mean
 
 
 def _squares(found: Array) -> NDArray[np.float32]:

@@ -75,7 +75,8 @@ def test_a_warm_up_is_that_put_in(tau):
         ("the fringes along u", 0.5), ("coordinate u", -0.5 * STEP), ("the light", 0.05)
     ):  # fmt: skip
         one, time = found[f"warm-up of {name}"], found[f"warm-up time of {name}"]
-        assert one.value == pytest.approx(size, rel=0.03)
+        # Brighter fringes are steeper: without that, one in a hundred.
+        assert one.value == pytest.approx(size, rel=0.005)
         assert time.value == pytest.approx(tau, rel=0.10)
         assert time.low < time.value < time.high
     assert not any(one.key for one in found.quantities if "warm-up" in one.name)
@@ -110,7 +111,12 @@ def test_a_line_is_no_exponential_by_chance():
 
 
 @pytest.mark.parametrize(
-    ("hours", "said"), [((0.0, 1.0), "one a folder"), ((0.0, 2.0, 1.0), "times that grow")]
+    ("hours", "said"),
+    [
+        ((0.0, 1.0), "one a folder"),
+        ((0.0, 2.0, 1.0), "times that grow"),
+        ((0.0, 1.0, float("inf")), "times that grow"),
+    ],
 )
 def test_times_are_one_a_folder_and_grow(hours, said):
     with pytest.raises(InputError, match=said):
