@@ -47,8 +47,10 @@ class Response(Value):
         super().__post_init__()
         if self.curve is None:
             return
+        if len(self.curve) < 2:
+            raise InputError("response", "two pairs of value and radiance or more", len(self.curve))
         values, radiance = np.array(self.curve, np.float64).T
-        if len(values) < 2 or values[0] != 0.0 or values[-1] != 1.0 or np.any(np.diff(values) <= 0):
+        if values[0] != 0.0 or values[-1] != 1.0 or np.any(np.diff(values) <= 0):
             expected = "values that grow from 0 to 1"
             raise InputError("response: value", expected, f"{values[0]:g} to {values[-1]:g}")
         if not np.all(np.diff(radiance) > 0.0):

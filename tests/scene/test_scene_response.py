@@ -54,6 +54,8 @@ def test_a_curve_stands_in_the_scene_or_in_a_file_beside_it(tmp_path):
     [
         ("[[0, 0], [1, 0]]", "radiances that grow"),
         ("[[0, 0], [0.5, 1]]", "from 0 to 1"),
+        ("[]", "two pairs"),
+        ("[[0, 0]]", "two pairs"),
         ('"none.csv"', "projector.response"),
         ('"../curve.csv"', "projector.response"),
         ("2.2", "projector.response"),

@@ -48,3 +48,11 @@ def test_refused(tmp_path):
     wide = run_cli("patterns", "write", "1,8", "--panel", "96x60", "--bits", 17, *out)
     check_refused(wide, "bits")
     assert not (tmp_path / "x").exists()
+
+
+def test_grey_frames_alone_are_written_to_be_characterised(tmp_path):
+    folder = tmp_path / "ramp"
+    done = run_cli("patterns", "write", "ramp9", "--panel", "64x48", "--out", folder)
+    assert done.status == 0, done.err
+    assert f"slbench characterise {folder}" in done.out
+    assert len(list((folder / "patterns").glob("*.png"))) == 9

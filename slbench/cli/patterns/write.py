@@ -29,12 +29,14 @@ def write(
     from slbench.capture.shown import LINEAR, PHOTOGRAPHS, SHOWN_FOLDER, write_pictures
 
     sequence = sequence_of(patterns, panel, axes, allow_modules)
-    sequence.runs()  # says what is missing where it cannot be decoded
+    if sequence.axes:
+        sequence.runs()  # says what is missing where it cannot be decoded
     SHOWN_FOLDER.check(out, "--out")
     own = read_response(gamma, response) or LINEAR
     write_pictures(sequence, out, bits=bits, response=own, border_px=border_px)
     count = sequence.n_frames // sequence.channels
-    verb = "characterise" if patterns.strip() == "characterisation" else "decode"
+    measured = patterns.strip() == "characterisation" or not sequence.axes
+    verb = "characterise" if measured else "decode"
     print(
         f"Written to {out}: project {out / 'patterns'} in order, put the {count} photographs into "
         f"{out / PHOTOGRAPHS} under the same names, then: slbench {verb} {out}"
