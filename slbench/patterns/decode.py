@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from math import inf
 from typing import Any
 
@@ -303,8 +304,9 @@ def decode(
         results = {axis: _masked(one, mask) for axis, one in results.items()}
     modulation, mean = results[sequence.axes[0]].modulation, results[sequence.axes[0]].mean
     if len(results) > 1:
-        modulation = np.minimum.reduce([one.modulation for one in results.values()])
-        mean = np.mean([one.mean for one in results.values()], axis=0)
+        # Array by array: NumPy's own reductions of a list copy it whole.
+        modulation = reduce(np.minimum, [one.modulation for one in results.values()])
+        mean = reduce(np.add, [one.mean for one in results.values()]) / np.float32(len(results))
     return PhaseMap(
         coordinate={axis: one.coordinate.reshape(shape) for axis, one in results.items()},
         sigma={axis: one.sigma.reshape(shape) for axis, one in results.items()},
