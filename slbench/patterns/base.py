@@ -451,6 +451,9 @@ class Found:
         Whether the pixels that saturate in ``run.searched`` are out of the mask already, and
         coordinate and sigma NaN outside it; both arrays are then the decoder's to write to.
         The decoder does both where it is False.
+    spare : bool
+        Whether a finer code may write its own results over coordinate and sigma: fresh memory
+        takes longer than arithmetic.
     relative : tuple of (fringes, (P,) float64)
         Relative phase in [0, 2 pi) of every fringe set of the run, if wanted.
     evidence : mapping of part index to mapping of name to (..., P) float32 or float64
@@ -466,6 +469,7 @@ class Found:
     mean: AnyFloatArray
     mask: NDArray[np.bool_]
     complete: bool = False
+    spare: bool = False
     relative: tuple[tuple[float, FloatArray], ...] = ()
     evidence: Mapping[int, Mapping[str, AnyFloatArray]] = field(default_factory=dict)
     dropped: NDArray[np.uint8] | None = None

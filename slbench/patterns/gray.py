@@ -239,6 +239,7 @@ class GrayCode(Code):
                 mean=mean,
                 mask=mask,
                 complete=final,
+                spare=True,
                 evidence=evidence,
                 dropped=dropped,
             )

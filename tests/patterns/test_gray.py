@@ -1,5 +1,7 @@
 """Gray and binary codes of any cells, thresholds and bits; and of pixels that do not decide all."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -165,6 +167,28 @@ def test_half_cells_resolve_fringes_that_do_not_begin_with_a_cell(key, code):
     ]
     alone = decode(photograph(whole[0], {"u": COLUMNS}), whole[1])
     assert not np.allclose(np.nan_to_num(alone.coordinate["u"]), COLUMNS, atol=1.0)
+
+
+@pytest.mark.parametrize("spare", [False, True])
+def test_fringes_write_over_a_coarser_place_that_is_spare(spare, monkeypatch):
+    sequence = PatternSequence.parse("gray+16@4", (128, 8))
+    frames = photograph(sequence, {"u": np.tile(np.linspace(0.0, 127.0, 300), (4, 1))})
+    expected = decode(frames, sequence, keep_evidence=True)  # which needs the coarser place
+    run, seen = GrayCode.decode_run.__func__, []
+
+    def decoded(cls, *given):
+        (one,) = run(cls, *given).values()
+        seen.append((one.coordinate, one.coordinate.copy(), one.sigma, one.sigma.copy()))
+        return {"u": replace(one, spare=one.spare and spare)}
+
+    monkeypatch.setattr(GrayCode, "decode_run", classmethod(decoded))
+    found = decode(frames, sequence)
+    np.testing.assert_array_equal(found.coordinate["u"], expected.coordinate["u"])
+    np.testing.assert_array_equal(found.sigma["u"], expected.sigma["u"])
+    ((place, place_before, sigma, sigma_before),) = seen
+    assert np.array_equal(place, place_before, equal_nan=True) is not spare
+    assert np.array_equal(sigma, sigma_before) is not spare
+    assert np.shares_memory(found.coordinate["u"], place) is spare
 
 
 def test_the_mean_of_the_fringes_is_a_threshold():

@@ -111,6 +111,7 @@ class PhaseCodedOrders(MatchedCode):
                 modulation=modulation,
                 mean=mean,
                 mask=mask,
+                spare=True,
                 dropped=None if dropped is None else dropped.astype(np.uint8),
             )
         }

@@ -94,6 +94,9 @@ def decode_sets(
         np.array([most, observed.min_modulation**2, observed.min_snr**2, limit]),
     )
     coordinate, sigma = np.empty(n_pixels), np.empty(n_pixels)
+    each = reference.shape == reference_sigma.shape == coordinate.shape
+    if each and coarser is not None and coarser.spare and not observed.keep_evidence:
+        coordinate, sigma = reference, reference_sigma
     modulation, mean = np.empty(n_pixels, np.float32), np.empty(n_pixels, np.float32)
     mask = np.empty(n_pixels, dtype=np.bool_)
     keep_relative = observed.keep_relative or way.name == "none"

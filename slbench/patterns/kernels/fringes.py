@@ -301,7 +301,7 @@ def decode_fringes(
         modulation to noise, largest residual of an order.
     coordinate, sigma : (P,) float64
         Panel coordinate and its standard deviation in pixels, NaN where masked out; written, as
-        are those that follow.
+        are those that follow.  They may be `reference` and `reference_sigma`.
     modulation, mean : (P,) float32
         Of the last set.
     mask : (P,) bool
