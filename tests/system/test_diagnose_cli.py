@@ -6,6 +6,8 @@ import cv2
 import pytest
 from scenes_small import check_refused, run_cli
 
+from slbench.core.io import read_ply, write_table
+
 
 @pytest.fixture(scope="module")
 def scanned(tmp_path_factory):
@@ -61,3 +63,29 @@ def test_what_holds_too_little_is_refused(scanned, tmp_path):
     assert "500 points" in done.err.splitlines()[-1]
     check_refused(run_cli("diagnose", tmp_path / "none", "--out", out), "none")
     assert not out.exists()
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".csv"])
+def test_a_cloud_alone_has_the_ripple_and_its_period(scanned, tmp_path, suffix):
+    path = scanned / "cloud.ply"
+    if suffix == ".csv":
+        path = tmp_path / "cloud.csv"
+        write_table(path, ("x_mm", "y_mm", "z_mm"), read_ply(scanned / "cloud.ply")[0])
+    period = 13.2  # of 16 fringes over some 210 mm
+    words = ("--fringe-mm", period, "--shifts", 4, "--out", tmp_path / "out", "--json")
+    done = run_cli("diagnose", path, *words)
+    assert done.status == 0, done.err
+    causes = {cause["name"]: cause for cause in json.loads(done.out)["causes"]}
+    assert causes["response"]["named"]
+    whole = run_cli("diagnose", scanned, "--out", tmp_path / "whole", "--json")
+    (same,) = (c for c in json.loads(whole.out)["causes"] if c["name"] == "response")
+    # 10 %: the capture's ripple has the second harmonic too.
+    assert causes["response"]["rms_mm"] == pytest.approx(same["rms_mm"], rel=0.1)
+
+
+def test_options_of_the_other_kind_are_refused(scanned, tmp_path):
+    cloud, out = scanned / "cloud.ply", ("--out", tmp_path / "out")
+    check_refused(run_cli("diagnose", cloud, "--region", "1,2,3,4", *out), "--region", "cloud")
+    check_refused(run_cli("diagnose", cloud, "--gamma", 2.2, *out), "--gamma", "cloud")
+    check_refused(run_cli("diagnose", scanned, "--shifts", 4, *out), "--shifts", "capture")
+    check_refused(run_cli("diagnose", tmp_path / "none.ply", *out), "none.ply")

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.bench.diagnose.accept import accepted, doubt_unit
 from slbench.bench.diagnose.diagnosis import Diagnosis
-from slbench.bench.diagnose.panel import Samples, Waves, judge
+from slbench.bench.diagnose.panel import Samples, Waves, judge, terms_of
+from slbench.bench.diagnose.rim import inner
 from slbench.bench.diagnose.shape import (
     MIN_POINTS,
     Plane,
@@ -17,11 +20,11 @@ from slbench.bench.diagnose.shape import (
     ShapeKind,
     Sphere,
     fit_shape,
-    width_mm,
+    kind_of,
 )
 from slbench.cloud.decoded import Decoded
 from slbench.cloud.triangulation import PointCloud
-from slbench.core.errors import InputError, warn_user
+from slbench.core.errors import InputError
 from slbench.patterns.base import Axis
 from slbench.rig import Device, Rig
 from slbench.score.features import MAX_INCIDENCE
@@ -32,12 +35,6 @@ Array = NDArray[np.float64]
 _MOST = 1 << 18
 #: Step by which the shape is moved for derivatives, mm.
 _STEP_MM = 1e-4
-#: Width of the rim that is left out, px.
-_RIM = 3
-#: Share of points off a shape, and usual distance by its width, that are no such shape; and that
-#: are in doubt.
-_OFF, _DOUBTED = 0.25, 0.05
-_FAR = 0.01
 
 
 def diagnose_capture(
@@ -90,16 +87,17 @@ def diagnose_capture(
     if isinstance(fitted, Sphere):
         seen = [_faced(device, fitted, cloud.points) for device in (rig.camera, rig.projector)]
         cloud = cloud.chosen(np.logical_and(*seen))
-    cloud = cloud.chosen(_inner(cloud))
-    fitted = _facing(fit_shape(cloud.points, _kind(fitted), where), rig)
+    cloud = cloud.chosen(inner(cloud.pixels))
+    fitted = _facing(fit_shape(cloud.points, kind_of(fitted), where), rig)
     axis, samples = _samples(decoded, rig, cloud, fitted)
     if len(samples.pixels) < MIN_POINTS:
         raise InputError(where, f"{MIN_POINTS} points at least on the shape", len(samples.pixels))
     step = -(-len(samples.pixels) // _MOST)
     samples = samples.chosen(samples.pixels[:, 1] % step == 0)
-    result = judge(
-        samples, _waves(decoded, axis, samples), fitted, accepted(fitted, cloud.points, where)
-    )
+    doubt_unit(cloud.points, where)
+    waves = _waves(decoded, axis, samples)
+    accept = accepted(fitted, cloud.points, where)
+    result = judge(samples, partial(terms_of, waves=waves), waves, fitted, accept)
     notes = [f"of two coded axes, {axis} alone is looked at"] if len(cloud.axes) > 1 else []
     if decoded.noise_kind == "lower bound":
         notes.append("predicted noise is a lower bound: rounding alone")
@@ -108,41 +106,6 @@ def diagnose_capture(
         own = fitted.diameter_deviation_mm(cloud.points, result["noise"].rms_mm)
         result = replace(result, diameter_deviation_mm=own)
     return result
-
-
-def accepted(shape: Shape, points: Array, where: object):  # type: ignore[no-untyped-def]
-    """Return what refuses points that are not of a shape: see :func:`judge`."""
-    kind = _kind(shape)
-    width = width_mm(points)
-
-    def accept(off: float, usual_mm: float) -> None:
-        if off > _OFF or usual_mm > _FAR * width:
-            got = f"{100 * off:.0f} % of them off the fitted {kind}, by other than whole fringes"
-            if off <= _OFF:
-                got = f"points {usual_mm:.3g} mm off the fitted {kind}, {width:.3g} mm wide"
-            raise InputError(where, f"points of one {kind}; --region chooses them", got)
-        if off > _DOUBTED:
-            share = f"{100 * off:.0f} % of the points are off the fitted {kind}"
-            warn_user(where, f"{share}: if they are of something else, --region leaves it out")
-
-    return accept
-
-
-def _kind(shape: Shape) -> ShapeKind:
-    return "sphere" if isinstance(shape, Sphere) else "plane"
-
-
-def _inner(cloud: PointCloud) -> NDArray[np.bool_]:
-    """Return which points are not at the rim, where a pixel sees two surfaces; holes are no rim."""
-    from scipy.ndimage import binary_closing, binary_erosion
-
-    (left, top), (right, bottom) = cloud.pixels.min(axis=0), cloud.pixels.max(axis=0)
-    area = np.zeros((bottom - top + 1 + 4 * _RIM, right - left + 1 + 4 * _RIM), np.bool_)
-    column, row = (cloud.pixels - (left - 2 * _RIM, top - 2 * _RIM)).T
-    area[row, column] = True
-    square = np.ones((2 * _RIM + 1, 2 * _RIM + 1), np.bool_)
-    inner = binary_erosion(binary_closing(area, square), square)
-    return np.asarray(inner[row, column])
 
 
 def _facing(shape: Shape, rig: Rig) -> Shape:
@@ -178,6 +141,7 @@ def _samples(decoded: Decoded, rig: Rig, cloud: PointCloud, shape: Shape) -> tup
     u, v = cloud.pixels.T
     samples = Samples(
         cloud.pixels,
+        cloud.pixels.astype(np.float64),
         decoded.phase.coordinate[axis][v, u],
         predicted,
         np.stack(moved, axis=1),

@@ -54,6 +54,14 @@ SIGNATURES: dict[str, Signature] = {
         "light from other surfaces, which carries the fringes of another place: stronger near them",
         "cover or dull the surfaces around, take finer fringes in every set",
     ),
+    **dict.fromkeys(
+        ("ripple", "second ripple", "third ripple"),
+        Signature(
+            "ripple",
+            "fringes or pixels of the projector: which, its period tells",
+            "divide the period of your finest fringes on the object by it, or diagnose the capture",
+        ),
+    ),
     "bowl": Signature(
         "bowl: polynomial over the image",
         "calibration: lenses or poses; or the object's own form, which looks alike",

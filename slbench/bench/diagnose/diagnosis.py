@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.diagnose.causes import SIGNATURES
-from slbench.bench.diagnose.shape import Shape, Sphere
+from slbench.bench.diagnose.shape import Shape, Sphere, kind_of
 from slbench.core.io import OutputFolder, write_json
 from slbench.core.show.display import block, length
 from slbench.core.show.document import Cell, Table
@@ -196,16 +196,11 @@ class Diagnosis:
             cells = (size, share if cause.told else math.nan, interval, _probability(cause.p))
             rows.append((cause.name, *cells, ", ".join(words)))
         note = (
-            f"{self.points} points, {length(self.rms_mm)} RMS from the {self.shape_name}, "
+            f"{self.points} points, {length(self.rms_mm)} RMS from the {kind_of(self.shape)}, "
             f"{length(math.sqrt(self.near_mm2))} without points that are far off"
         )
         columns = ("cause", "RMS / µm", "share / %", "95 %", "p", "")
         return Table(f"Errors of {self.source}", columns, tuple(rows), note)
-
-    @property
-    def shape_name(self) -> str:
-        """Plane or sphere."""
-        return "sphere" if isinstance(self.shape, Sphere) else "plane"
 
     def plot(self) -> Any:
         """Return a matplotlib figure: distances from the shape, and what each cause makes."""

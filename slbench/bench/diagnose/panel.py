@@ -52,7 +52,9 @@ class Samples:
     Parameters
     ----------
     pixels : (N, 2) int
-        Of the camera.
+        Of the camera; of a cloud, cells about as large as the distance between points.
+    places : (N, 2) float
+        The same, or mm on the shape.
     measured, predicted : (N,) float
         Panel coordinate, and that of the shape where the camera's ray meets it, px.
     jacobian : (N, k) float
@@ -64,6 +66,7 @@ class Samples:
     """
 
     pixels: NDArray[np.integer]
+    places: Array
     measured: Array
     predicted: Array
     jacobian: Array
@@ -74,7 +77,7 @@ class Samples:
 
     def chosen(self, kept: NDArray[Any]) -> Samples:
         """Return some of them."""
-        names = ("pixels", "measured", "predicted", "jacobian", "gain", "sigma")
+        names = ("pixels", "places", "measured", "predicted", "jacobian", "gain", "sigma")
         return replace(self, **{name: getattr(self, name)[kept] for name in names})
 
 
@@ -99,7 +102,7 @@ class Waves:
 
 def terms_of(samples: Samples, waves: Waves) -> list[Group]:
     """Return the terms of every cause, for the points of a shape."""
-    x, y = _normalised(samples.pixels).T
+    x, y = normalised(samples.places).T
 
     def ripple(period: float, harmonics: tuple[int, ...]) -> Array:
         angle = 2.0 * pi / period * samples.predicted
@@ -129,13 +132,13 @@ def polynomial(x: Array, y: Array) -> Array:
     return np.stack([x**i * y**j for i, j in powers], axis=1)
 
 
-def _normalised(places: Array | NDArray[np.integer]) -> Array:
+def normalised(places: Array) -> Array:
     """Return places (N, 2) on -1 to 1."""
     low, high = places.min(axis=0), places.max(axis=0)
     return np.asarray(2.0 * (places - low) / np.maximum(high - low, 1e-12) - 1.0)
 
 
-def smoothed(errors: Array, jacobian: Array, bowl: Array) -> tuple[Array, float]:
+def smoothed(samples: Samples) -> tuple[Array, float]:
     """Fit shape and bowl to errors of which some are wrong; return them and the usual rest.
 
     Returns
@@ -144,6 +147,8 @@ def smoothed(errors: Array, jacobian: Array, bowl: Array) -> tuple[Array, float]
     limit : float
         Six robust deviations of what it leaves.
     """
+    errors, jacobian = samples.measured - samples.predicted, samples.jacobian
+    bowl = polynomial(*normalised(samples.places).T)
     design = np.concatenate([jacobian / np.linalg.norm(jacobian, axis=0), bowl], axis=1)
     kept = np.ones(len(errors), np.bool_)
     smooth, limit = np.zeros(len(errors)), np.inf
@@ -159,6 +164,7 @@ def smoothed(errors: Array, jacobian: Array, bowl: Array) -> tuple[Array, float]
 
 def judge(
     samples: Samples,
+    terms: Callable[[Samples], list[Group]],
     waves: Waves,
     shape: Shape,
     accept: Callable[[float, float], None],
@@ -168,6 +174,8 @@ def judge(
     Parameters
     ----------
     samples : Samples
+    terms : callable
+        Returns the terms of every cause for points that are not far off.
     waves : Waves
     shape : Plane or Sphere
         That they were predicted by.
@@ -181,16 +189,15 @@ def judge(
         Without its source.
     """
     errors = samples.measured - samples.predicted
-    groups = terms_of(samples, waves)
-    smooth, limit = smoothed(errors, samples.jacobian, groups[0].terms)
+    smooth, limit = smoothed(samples)
     orders = whole_orders(errors - smooth, limit, waves.period_px)
     good = (orders.periods == 0) & ~orders.gross
     usual = 1.4826 * float(np.median(np.abs(errors * samples.gain)))
     accept(float(np.mean(orders.gross)), usual)
     tiles = tiles_of(samples.pixels)
     jacobian, gain = samples.jacobian, samples.gain
-    chosen = [Group(group.name, group.terms[good]) for group in groups]
-    fitted, rest = regress(errors[good], gain[good], jacobian[good], chosen, tiles[good])
+    groups = terms(samples.chosen(good))
+    fitted, rest = regress(errors[good], gain[good], jacobian[good], groups, tiles[good])
     moved = np.linalg.lstsq(jacobian[good], errors[good], rcond=None)[0]
     distance = (errors - jacobian @ moved) * gain
     within = float(np.mean(distance[good] ** 2))
@@ -233,7 +240,7 @@ def judge(
         causes=tuple(sorted(causes, key=lambda c: -np.nan_to_num(c.mean_square_mm2))),
         mean_square_mm2=float(np.mean(distance**2)),
         near_mm2=share * within,
-        places=np.asarray(samples.pixels, np.float64),
+        places=samples.places,
         unit="px",
         distance_mm=distance,
         made_mm=made,

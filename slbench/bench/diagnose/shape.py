@@ -192,6 +192,11 @@ def fit_shape(
     return _refined(points, plane)
 
 
+def kind_of(shape: Shape) -> ShapeKind:
+    """Return what a shape is."""
+    return "sphere" if isinstance(shape, Sphere) else "plane"
+
+
 def width_mm(points: Array) -> float:
     """Return how wide a cloud is, without its outermost tenth: the diagonal of its box, mm."""
     low, high = np.percentile(points, (5.0, 95.0), axis=0)
@@ -258,7 +263,7 @@ def _searched(
 
 def _refined(points: Array, shape: Shape) -> Shape:
     """Fit once more to all points that are within six robust deviations."""
-    kind: ShapeKind = "plane" if isinstance(shape, Plane) else "sphere"
+    kind = kind_of(shape)
     largest = _FLATTEST * width_mm(points)
     for _ in range(3):
         off = np.abs(shape.distance(points))

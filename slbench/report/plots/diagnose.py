@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from slbench.bench.diagnose.diagnosis import Diagnosis
+from slbench.bench.diagnose.shape import kind_of
 
 Array = NDArray[np.float64]
 
@@ -23,7 +24,7 @@ def draw(result: Diagnosis) -> Figure:
     Below them, every cause's share with its 95 % interval; dark ones are named.
     """
     names = [c.name for c in result.causes if c.named and c.name in result.made_mm][: _MAPS - 1]
-    maps = {"distance from the " + result.shape_name: result.distance_mm}
+    maps = {"distance from the " + kind_of(result.shape): result.distance_mm}
     maps |= {name: result.made_mm[name] for name in names}
     maps["the rest"] = result.made_mm["noise"]
     drawn = Figure(figsize=(3.1 * max(len(maps), 3), 6.2), dpi=100, layout="constrained")
