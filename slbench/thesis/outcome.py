@@ -110,7 +110,7 @@ class Outcome:
     Parameters
     ----------
     chapter : str
-        ``"ch3"``, ``"ch6"``, ``"ch7"`` or ``"ch8"``; names the files.
+        ``"ch3"``, ``"ch6"``, ``"ch7"``, ``"ch8"`` or ``"calibrated"``; names the files.
     title : str
     findings : tuple of Finding
     tables : tuple of Table

@@ -43,6 +43,14 @@ def factor(value: float, low: float, high: float, thesis: float) -> Verdict:
     return factor_verdict(Interval(value, low, high), thesis)
 
 
+def sized(value: float, low: float, high: float, thesis: float) -> Verdict:
+    """Judge whether errors are as large as the thesis's, within a factor, by a whole interval."""
+    if all(1.0 / SIZE_TOLERANCE <= one / thesis <= SIZE_TOLERANCE for one in (low, high)):
+        return "reproduced"
+    alike = 1.0 / SIZE_TOLERANCE <= value / thesis <= SIZE_TOLERANCE
+    return "in part" if alike else "not reproduced"
+
+
 def order_and_sizes(value: float, low: float, high: float, sizes: Sequence[float]) -> Verdict:
     """Judge a ratio of errors that has to be below one, of errors as large as the thesis's.
 
@@ -200,6 +208,7 @@ RULES: Mapping[str, Callable[..., Verdict]] = {
     rule.__name__.replace("_", "-"): rule
     for rule in (
         factor,
+        sized,
         order_and_sizes,
         least_apart,
         nearer,

@@ -13,6 +13,7 @@ from slbench.capture.capture import Capture
 from slbench.core.errors import InputError, warn_user
 from slbench.detector.emva1288 import Detector
 from slbench.rig.shading import shading
+from slbench.scene.devices.detector import SheetKeys
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.expose import radiance_batches, shutter_for
@@ -112,22 +113,20 @@ def with_light(content: Mapping[str, Any], fit: Fit, blur: float | None) -> dict
     done["light"]["ambient_w_per_m2"] = light.ambient * AMBIENT_W_PER_M2
     done["camera"]["shading"] = list(light.shading)
     detector = _lifted(fit.detector, light.black_dn)
-    for key in ("offset_dn", "read_noise_e", "gain_e_per_dn"):
+    for key in SheetKeys.model_fields:  # which stand for some of these
+        done["detector"].pop(key, None)
+    for key in ("offset_dn", "read_noise_e", "gain_e_per_dn", "full_well_e"):
         done["detector"][key] = getattr(detector, key)
     if blur is not None:
         done["projector"]["blur_px"] = blur
     # Where the automatic exposure puts the lit picture at this gain.
-    camera = replace(fit.scene.rig.camera, shading=light.shading)
-    grid = camera.pixel_grid()
-    own = camera.relative_illumination(grid) / fit.scene.rig.camera.relative_illumination(grid)
-    ambient = fit.transport.ambient * own.astype(np.float32)
-    marginals = {
-        name: rows.scaled(np.nan_to_num(own).ravel())
-        for name, rows in fit.transport.marginals.items()
-    }
-    shaded = replace(fit.transport, marginals=marginals, ambient=light.ambient * ambient)
+    camera = fit.scene.rig.camera
+    own = shading(light.shading, camera.pixel_grid(), (camera.width, camera.height))
+    marginals = {name: rows.scaled(own.ravel()) for name, rows in fit.transport.marginals.items()}
+    ambient = (light.ambient * own * fit.transport.ambient).astype(np.float32)
+    shaded = replace(fit.transport, marginals=marginals, ambient=ambient)
     usual = replace(fit.scene.exposure, time_s=None, white_level=0.5)
-    factor = shutter_for(shaded, camera, fit.detector, usual).photons
+    factor = shutter_for(shaded, camera, detector, usual).photons
     level = 0.5 * fit.photons / factor
     if level > 1.0:
         warn_user(
@@ -156,11 +155,22 @@ def _black(detector: Detector, capture: Capture) -> Detector:
 
 
 def _lifted(detector: Detector, by_dn: float) -> Detector:
-    """Return a detector of another black level and the same noise of every digital number."""
-    black = max(detector.black_dn + by_dn, 0.0)
-    more_e = (black - detector.black_dn) * detector.e_per_dn
-    read_e = float(np.sqrt(max(detector.read_noise_e**2 + more_e, 0.0)))
-    return replace(detector, offset_dn=black, read_noise_e=read_e, gain_e_per_dn=detector.e_per_dn)
+    """Return a detector of another black level and the same noise of every digital number.
+
+    Where its numbers end before its pixels are full, they still do.
+    """
+    black, gain = max(detector.black_dn + by_dn, 0.0), detector.e_per_dn
+    more_e = (black - detector.black_dn) * gain
+    well_e = detector.full_well_e
+    if detector.saturation_dn >= detector.top_dn - 1:
+        well_e = max(well_e, (detector.top_dn - black) * gain)
+    return replace(
+        detector,
+        offset_dn=black,
+        read_noise_e=float(np.sqrt(max(detector.read_noise_e**2 + more_e, 0.0))),
+        gain_e_per_dn=gain,
+        full_well_e=well_e,
+    )
 
 
 def _inner(mask: Mask) -> Mask:

@@ -73,15 +73,15 @@ def test_all_chapters_and_one_report(chapters, tmp_path):
     page = tmp_path / "page.html"
     done = run_cli("bench", "all", "--out", tmp_path / "r", "--report", page, "--json")
     assert done.status == 0, done.err
-    assert [name for name, *_ in chapters] == ["ch3", "ch6", "ch7", "ch8"]
+    assert [name for name, *_ in chapters] == ["ch3", "ch6", "ch7", "ch8", "calibrated"]
     results = json.loads(done.out)["chapters"]
     assert results["ch7"]["findings"][0]["ratio"] == pytest.approx(1.05)
-    assert sorted(p.name for p in (tmp_path / "r").iterdir()) == ["ch3", "ch6", "ch7", "ch8"]
+    assert {p.name for p in (tmp_path / "r").iterdir()} == set(bench.CHAPTERS)
     html = page.read_text()
     assert html.count("A beats B") >= 4
 
 
-@pytest.mark.parametrize("name", ["ch3", "ch6", "ch7", "ch8"])
+@pytest.mark.parametrize("name", ["ch3", "ch6", "ch7", "ch8", "calibrated"])
 def test_every_chapter_has_its_function(name):
     assert callable(bench.runner(name))
 

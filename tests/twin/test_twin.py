@@ -148,6 +148,20 @@ def test_a_twin_of_two_objects(known) -> None:
     assert twin.likeness.misfits() == []
 
 
+def test_a_data_sheet_is_hardware_too(known, tmp_path) -> None:
+    capture, _, _ = known
+    path = tmp_path / "sheet.toml"
+    # 16,000 electrons are 42 dB, and 12 of them 62.5 dB below; the rig has the rest.
+    path.write_text(
+        "[camera]\nresolution_px = [320, 240]\nlens_mm = 16.0\nnatural_vignetting = true\n"
+        "[detector]\nbit_depth = 8\nsnr_max_db = 42.0\ndynamic_range_db = 62.5\noffset_dn = 2.0"
+    )
+    twin = make_twin(capture, [TwinObject(shape="plane")], hardware=path, samples=16)
+    assert twin.likeness.noise.ratio == pytest.approx(1.0, abs=0.05)
+    write_twin(twin, tmp_path / "twin")
+    assert load(tmp_path / "twin" / "twin.toml").detector == twin.scene.detector
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
