@@ -77,7 +77,7 @@ def test_the_module_runs(tmp_path):
         (["design", "rigs"], "'rig'"),
         (["scan", "plane", "--sed", "3"], "--seed"),
         (["scan", "plane", "--weights", "modulations"], "did you mean 'modulation'?"),
-        (["bench", "ch66"], "chapter: expected ch3 or ch6 or ch7 or ch8 or all"),
+        (["bench", "ch66"], "chapter: expected ch3 or ch6 or ch7 or ch8 or calibrated or all"),
         (["fuse", "x", "--out", "y.png", "--align", "afine"], "did you mean 'affine'?"),
         (["scan", "plane", "--spp", "0"], "--spp: expected greater than or equal to 1, got '0'"),
     ],
