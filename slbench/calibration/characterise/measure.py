@@ -203,7 +203,10 @@ def characterise(
     whole.take(quantities, lost)
     blur = spread.camera_blur(found, edge, top)
     whole.take(*blur)
-    quantities, lost, contrasts = spread.projector_blur(captures, next(iter(blur[0]), None), top)
+    told = next(iter(blur[0]), None), next(iter(shaken[0]), None)
+    quantities, lost, contrasts = spread.projector_blur(
+        captures, *told, motion.of_codes(found, moves), top
+    )
     whole.take(quantities, lost)
     level_dn = None if black is None else black[0]
     shaded = shading.camera_shading(evenly, level_dn, top)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from slbench.calibration.characterise.frames import Shot, unsaturated
 from slbench.calibration.characterise.quantity import LEVEL, Quantity, Untold
+from slbench.patterns.base import Code
 
 Array = NDArray[np.float64]
 
@@ -272,6 +273,14 @@ def vibration(
         ),
     )
     return [rest], []
+
+
+def of_codes(found: Sequence[Shot], moves: Mapping[int, Moves]) -> dict[Code, Array]:
+    """Return the displacements of the repeats of each code's frames, (frames * R, 2) px."""
+    shifts: dict[Code, list[Array]] = {}
+    for k, one in moves.items():
+        shifts.setdefault(found[k].code, []).append(one.shift_px)
+    return {code: np.concatenate(own) for code, own in shifts.items()}
 
 
 def flicker(moves: Mapping[int, Moves]) -> list[Quantity]:

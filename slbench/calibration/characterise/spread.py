@@ -10,7 +10,9 @@ Fringes tell the sum alone.  The camera's share comes from an edge that it sees 
 its pixels (ISO 12233:2017, e-SFR): a step through a Gaussian, integrated over square pixels, is
 fitted.
 
-Defocus and diffraction are in both, as they are at the depth that was captured.
+Frames of a set that vibrate by ``s`` camera pixels lose contrast as by a blur of ``g s``, which is
+taken out where repeats tell the vibration.  Defocus and diffraction are in both blurs, as they are
+at the depth that was captured.
 """
 
 from __future__ import annotations
@@ -33,7 +35,7 @@ from slbench.calibration.characterise.quantity import (
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.patterns import Fringes
-from slbench.patterns.base import Axis
+from slbench.patterns.base import Axis, Code
 
 Array = NDArray[np.float64]
 
@@ -160,7 +162,11 @@ def _edge_blur(image: Array) -> tuple[float, float]:
 
 
 def projector_blur(
-    captures: Mapping[str, Capture], camera: Quantity | None, top: float
+    captures: Mapping[str, Capture],
+    camera: Quantity | None,
+    vibration: Quantity | None,
+    shaken: Mapping[Code, NDArray[np.floating]],
+    top: float,
 ) -> tuple[list[Quantity], list[Untold], list[Contrast]]:
     """Measure the projector's blur by the contrast of fringes of several counts.
 
@@ -169,13 +175,17 @@ def projector_blur(
     captures : mapping of str to Capture
     camera : Quantity or None
         Blur of the camera; None leaves it in.
+    vibration : Quantity or None
+        From frame to frame; None leaves it in.
+    shaken : mapping of Code to (..., 2) float
+        Displacements, px, of the repeats of a set's frames.
     top : float
     """
     quantities: list[Quantity] = []
     curves = []
     axes: tuple[Axis, ...] = ("u", "v")
     for axis in axes:
-        measured = _of_axis(captures, axis, camera, top)
+        measured = _of_axis(captures, axis, camera, vibration, shaken, top)
         if measured is not None:
             quantities.append(measured[0])
             curves.append(measured[1])
@@ -187,7 +197,12 @@ def projector_blur(
 
 
 def _of_axis(
-    captures: Mapping[str, Capture], axis: Axis, camera: Quantity | None, top: float
+    captures: Mapping[str, Capture],
+    axis: Axis,
+    camera: Quantity | None,
+    vibration: Quantity | None,
+    shaken: Mapping[Code, NDArray[np.floating]],
+    top: float,
 ) -> tuple[Quantity, Contrast] | None:
     sets: dict[Fringes, list[NDArray[np.float32]]] = {}
     first = next(iter(captures.values()))
@@ -212,9 +227,12 @@ def _of_axis(
     good &= sizes[0] > _LIT * np.quantile(sizes[0][good], 0.99)
     number = blocks(good.shape)[good]
     cycles = np.array([code.fringe_count(panel) / size for code in codes])
-    step = _step(frames[-1], codes[-1], panel, size, good)
-    # A panel's and a camera's square pixels.
+    across = _across(frames[-1], codes[-1], panel, size, good)
+    step = float(np.hypot(*across))
+    # A panel's and a camera's square pixels, and what vibrates.
     square = np.sinc(cycles) * np.sinc(cycles * step)
+    loss = [_shaken(code, len(sets[code]), across, vibration, shaken.get(code)) for code in codes]
+    square *= np.exp(-2.0 * np.pi**2 * cycles**2 * [variance for variance, _ in loss])
     added = [np.bincount(number, one[good], BLOCKS**2) for one in sizes]
     sums = np.stack(added, axis=1).astype(np.float64)
     total = sums.sum(axis=0)
@@ -239,7 +257,9 @@ def _of_axis(
         camera_part = (step * camera.value) ** 2
         spread = step**2 * 0.5 * (camera.high**2 - camera.low**2)
         note = f"without the camera's {step * camera.value:.3g} px; {_LENS}"
-    half = float(np.hypot(result.half_width[0], spread))
+    if vibration is not None:
+        note = f"without the vibration's {np.sqrt(loss[-1][0]):.2g} px; {note}"
+    half = float(np.linalg.norm([result.half_width[0], spread, loss[-1][1]]))
     value, low, high = (
         float(np.sqrt(max(both - camera_part + sign * half, 0.0))) for sign in (0.0, -1.0, 1.0)
     )
@@ -257,18 +277,41 @@ def _of_axis(
     return quantity, Contrast(axis, cycles[used], kept[used], float(np.sqrt(both)))
 
 
-def _step(
+def _shaken(
+    code: Fringes,
+    repeats: int,
+    across: tuple[float, float],
+    vibration: Quantity | None,
+    moved: NDArray[np.floating] | None,
+) -> tuple[float, float]:
+    """Return the variance of a set's frames by vibration, panel px^2, and its half interval.
+
+    What repeats of a frame differ by was seen; by what their means do, the vibration alone says,
+    and that of few frames differs from it by chance.
+    """
+    if vibration is None:
+        return 0.0, 0.0
+    seen = 0.0 if moved is None else float(np.mean((moved @ np.array(across)) ** 2))
+    square = across[0] ** 2 + across[1] ** 2
+    free = code.shifts - 1
+    rest = square * vibration.value**2 * free / code.shifts / repeats
+    share = 0.5 * (vibration.high**2 - vibration.low**2) / max(vibration.value, 1e-12) ** 2
+    return seen + rest, rest * float(np.hypot(share, 1.96 * np.sqrt(2.0 / max(free, 1))))
+
+
+def _across(
     frames: NDArray[np.float32],
     code: Fringes,
     panel: tuple[int, int],
     size: int,
     good: NDArray[np.bool_],
-) -> float:
-    """Return how many panel pixels lie beside each other in a camera pixel, by the fine phase."""
+) -> tuple[float, float]:
+    """Return how many panel pixels lie in a camera pixel, along u and v, by the fine phase."""
     phase = code.relative_phase(frames, panel)[0]
     turns = [np.angle(np.exp(1j * np.diff(phase, axis=axis))) for axis in (0, 1)]
     down, across = (
         float(np.median(one[np.delete(good, -1, axis) & np.delete(good, 0, axis)]))
         for axis, one in enumerate(turns)
     )
-    return float(np.hypot(down, across)) / (2.0 * np.pi) * size / float(code.fringe_count(panel))
+    scale = size / (2.0 * np.pi * float(code.fringe_count(panel)))
+    return across * scale, down * scale

@@ -15,7 +15,7 @@ DETECTORS = {"8 bit": Detector(8), "12 bit": Detector(12, 20_000.0, 10.0)}
 
 
 def captured(detector, projector, camera, *, step=2.0, axis="u", counts=(1, 16, 64), seed=0,
-             degrees=6.0, level=0.8):  # fmt: skip
+             degrees=6.0, level=0.8, vibration=0.0):  # fmt: skip
     """Return a capture of a plane: fringes of analytic contrast, and an edge in the white frame.
 
     Pixels of both devices are squares; the edge is integrated over 40 x 40 places in a pixel.
@@ -23,6 +23,7 @@ def captured(detector, projector, camera, *, step=2.0, axis="u", counts=(1, 16, 
     shape = (120, 160)
     v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
     place = step * (u if axis == "u" else v) + 20.0
+    rng = np.random.default_rng(seed)
     size = PANEL[0] if axis == "u" else PANEL[1]
     frames = [np.zeros(shape), _edge(u, v, camera, degrees)]
     parts = [Flat(0.0), Flat(1.0)]
@@ -32,10 +33,11 @@ def captured(detector, projector, camera, *, step=2.0, axis="u", counts=(1, 16, 
         contrast = np.exp(-2 * (np.pi * f) ** 2 * (projector**2 + (step * camera) ** 2))
         contrast *= np.sinc(f) * np.sinc(f * step)
         for shift in code.steps(size):
-            frames.append(0.5 + 0.5 * contrast * np.cos(2 * np.pi * f * (place + 0.5) - shift))
+            seen = place + 0.5 - step * vibration * rng.normal()
+            frames.append(0.5 + 0.5 * contrast * np.cos(2 * np.pi * f * seen - shift))
         parts.append(code)
     photons = np.array(frames) * level * detector.saturation_e / detector.quantum_efficiency
-    pixels = detector.expose(photons, 0.01, np.random.default_rng(seed))
+    pixels = detector.expose(photons, 0.01, rng)
     sequence = PatternSequence(PANEL, tuple(parts))
     return {
         "run": Capture(pixels, sequence, detector.bit_depth, saturation_dn=detector.saturation_dn)
@@ -76,6 +78,22 @@ def test_without_an_edge_both_blurs_are_one():
     assert found["projector blur"].value == pytest.approx(np.hypot(1.5, 2.0 * 0.5), rel=0.05)
     assert "camera's blur is in it" in found["projector blur"].note
     assert "camera blur" in {one.name for one in found.untold}
+
+
+@pytest.mark.parametrize("vibration", [0.05, 0.1, 0.2, 0.3])
+def test_vibration_is_no_blur(vibration):
+    """0.3 camera pixels are 0.6 of the panel, which would make 1.08 px 1.23."""
+    captures = {}
+    for seed in range(6):
+        own = captured(
+            DETECTORS["12 bit"], 1.0, 0.2, counts=(1, 8, 64), seed=seed, vibration=vibration
+        )
+        captures[f"run{seed}"] = own["run"]
+    found = characterise(captures)["projector blur"]
+    # Means of the frames of six repeats differ by 0.1 px, whose square is known to a half: 2 %.
+    assert found.value == pytest.approx(np.hypot(1.0, 2.0 * 0.2), rel=0.05)
+    assert found.low < np.hypot(1.0, 0.4) < found.high
+    assert "vibration's" in found.note
 
 
 def test_intervals_hold_the_blur():
