@@ -24,6 +24,9 @@ from .bench.budget.budget import error_budget as error_budget
 from .bench.claims.check import check as check
 from .bench.compare.compare import compare as compare
 from .bench.compare.comparison import Comparison as Comparison
+from .bench.diagnose.capture import diagnose_capture as diagnose_capture
+from .bench.diagnose.cloud import diagnose_cloud as diagnose_cloud
+from .bench.diagnose.diagnosis import Diagnosis as Diagnosis
 from .bench.sweep.sweep import Sweep as Sweep
 from .bench.sweep.sweep import sweep as sweep
 from .calibration.models.model import CalibrationModel as CalibrationModel

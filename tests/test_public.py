@@ -112,11 +112,18 @@ def values(tmp_path_factory):
         sl.select_models(rig_points(200)).model,
         sl.compare(scene, sets, repeats=2, transports=[scan.transport], truth=scan.truth),
         sl.error_budget(scene, repeats=2),
+        sl.diagnose_cloud(flat_cloud()),
         sl.open_dataset(write_dataset(tmp_path_factory.mktemp("small"))),
         sl.simulate.render.current(),
         small_twin(),
     ]
     return found
+
+
+def flat_cloud():
+    rows, columns = np.indices((30, 40))
+    heights = np.random.default_rng(0).normal(0.0, 0.01, rows.size)
+    return np.column_stack([columns.ravel(), rows.ravel(), heights])
 
 
 def small_twin():

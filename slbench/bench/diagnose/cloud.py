@@ -21,6 +21,7 @@ from slbench.bench.diagnose.regression import Group
 from slbench.bench.diagnose.rim import inner
 from slbench.bench.diagnose.shape import Plane, Shape, ShapeKind, Sphere, fit_shape
 from slbench.bench.diagnose.waves import Wave, find_waves
+from slbench.core.errors import InputError
 from slbench.score.features import OUTLIER_SIGMAS
 
 Array = NDArray[np.float64]
@@ -29,6 +30,8 @@ Array = NDArray[np.float64]
 _STEP_MM = 1e-4
 #: Points of which the distance to their neighbours is taken, and points that are judged.
 _NEIGHBOURS, _MOST = 4000, 1 << 18
+#: Cells, each as large as a typical distance between neighbours, that a point may stand for.
+_SPARSEST = 64
 #: How far, as a share, a ratio of periods may be off a whole number.
 _WHOLE = 0.06
 #: Share of far points within a tenth of one distance that makes them a step.
@@ -80,7 +83,8 @@ def diagnose_cloud(
     """
     sigma = np.asarray((fields or {}).get("sigma", np.full(len(points), nan)), np.float64)
     finite = np.isfinite(points).all(axis=1)
-    points, sigma = points[finite], sigma[finite]
+    first = np.sort(np.unique(points[finite], axis=0, return_index=True)[1])
+    points, sigma = points[finite][first], sigma[finite][first]
     if len(points) > _MOST:  # evenly: an organised cloud stays one
         step = -(-len(points) // _MOST)
         points, sigma = points[::step], sigma[::step]
@@ -89,6 +93,10 @@ def diagnose_cloud(
     accept = accepted(fitted, points, where)
     places = _places(fitted, points)
     spacing = _spacing(places)
+    rows, columns = np.ceil(np.ptp(places, axis=0) / spacing)
+    if rows * columns > _SPARSEST * len(points):
+        got = f"{len(points)} over {columns:.0f} x {rows:.0f} of their usual distances"
+        raise InputError(where, "points that cover a surface", got)
     # Points far off stand anywhere over the shape, and are no rim.
     off = np.abs(fitted.distance(points))
     on = off <= OUTLIER_SIGMAS * 1.4826 * np.median(off)

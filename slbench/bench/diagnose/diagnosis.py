@@ -153,10 +153,10 @@ class Diagnosis:
 
     def share_ci95(self, cause: Cause) -> tuple[float, float]:
         """Return the 95 % interval of the share, within 0 and 1; NaN where it is not told."""
-        if not cause.told:
-            return math.nan, math.nan
         whole = self.mean_square_mm2 if cause.far else self.near_mm2
-        spread = _NORMAL_95 * cause.deviation_mm2 / whole if whole > 0.0 else math.nan
+        if not (cause.told and whole > 0.0):
+            return math.nan, math.nan
+        spread = _NORMAL_95 * cause.deviation_mm2 / whole
         return max(self.share(cause) - spread, 0.0), min(self.share(cause) + spread, 1.0)
 
     def sentences(self) -> list[str]:
@@ -189,7 +189,8 @@ class Diagnosis:
                 whole = 100.0 * total / self.near_mm2 if self.near_mm2 > 0.0 else math.nan
                 rows.append(("sum", 1e3 * math.sqrt(max(total, 0.0)), whole, None, None, ""))
             low, high = self.share_ci95(cause)
-            interval = f"{100 * low:.2g} to {100 * high:.2g}" if cause.told else None
+            known = not math.isnan(low)
+            interval = f"{100 * low:.2g} to {100 * high:.2g}" if known else None
             size, share = 1e3 * cause.rms_mm, 100.0 * max(self.share(cause), 0.0)
             words = ["named"] * cause.named + ([] if cause.told else ["not told"])
             words += [cause.note] if cause.note else []

@@ -17,16 +17,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import nan, pi
+from math import pi
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.diagnose.diagnosis import LEAST_SHARE, LEVEL, Cause, Diagnosis
-from slbench.bench.diagnose.orders import Orders, whole_orders
-from slbench.bench.diagnose.regression import Fitted, Group, regress, tiles_of
-from slbench.bench.diagnose.rest import split_rest, tile_mean
+from slbench.bench.diagnose.diagnosis import Diagnosis
+from slbench.bench.diagnose.naming import far_causes, rest_causes, told_causes
+from slbench.bench.diagnose.orders import whole_orders
+from slbench.bench.diagnose.regression import Group, regress, tiles_of
+from slbench.bench.diagnose.rest import Rest, split_rest
 from slbench.bench.diagnose.shape import Shape
 from slbench.core.show.display import brief
 from slbench.score.features import OUTLIER_SIGMAS
@@ -39,10 +40,6 @@ _DEGREES = 4
 _LEAST_FRINGES = 4.0
 #: Harmonics of fringes, and shortest period of one, panel pixels.
 _FINEST_PX = 1.2
-#: Uneven part of a ripple, as a share of the even one, from which on it is another place's light.
-_UNEVEN = 0.5
-#: Share of points off the shape that is named.
-_GROSS = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,34 +198,16 @@ def judge(
     moved = np.linalg.lstsq(jacobian[good], errors[good], rcond=None)[0]
     distance = (errors - jacobian @ moved) * gain
     within = float(np.mean(distance[good] ** 2))
-    causes = _told_causes(fitted, waves, within, float(np.mean(good)))
-    causes += _far_causes(orders, distance, orders.periods * (waves.period_px or 0.0) * gain, tiles)
-    low = samples.pixels.min(axis=0)
-    image = np.full(tuple((samples.pixels.max(axis=0) - low + 1)[::-1]), np.nan)
-    numbers = np.zeros(image.shape, np.intp)
-    column, row = (samples.pixels[good] - low).T
-    image[row, column], numbers[row, column] = rest * gain[good], tiles[good]
-    split, share = split_rest(image, numbers), float(np.mean(good))
-    there = split.p < LEVEL and split.correlated >= LEAST_SHARE * within
+    stepped = orders.periods * (waves.period_px or 0.0) * gain
+    causes = told_causes(fitted, waves.shifts, waves.contrast, within, float(np.mean(good)))
+    causes += far_causes(orders, distance, stepped, tiles)
     predicted = float(np.sqrt(np.mean((samples.sigma * gain)[good] ** 2)))
-    note = f"{np.sqrt(max(split.noise, 0.0)) / predicted:.2g} times the predicted"
-    causes += [
-        Cause(
-            "correlated",
-            share * split.correlated,
-            share * split.correlated_deviation,
-            split.p,
-            there,
-        ),
-        Cause(
-            *("noise", share * split.noise, share * split.noise_deviation, nan, False),
-            note if np.isfinite(predicted) else "",
-        ),
-    ]
+    left = _rest(samples.pixels[good], rest * gain[good], tiles[good])
+    causes += rest_causes(left, within, float(np.mean(good)), predicted)
     made = {name: np.zeros(len(errors)) for name in (c.name for c in causes)}
     for one in fitted:
         made[one.name][good] = one.made * gain[good]
-    made["orders"] = orders.periods * (waves.period_px or 0.0) * gain
+    made["orders"] = stepped
     made["gross"][orders.gross] = distance[orders.gross]
     # Of the rest, no point tells which part of it is noise.
     made["noise"][good] = rest * gain[good]
@@ -239,7 +218,7 @@ def judge(
         points=len(errors),
         causes=tuple(sorted(causes, key=lambda c: -np.nan_to_num(c.mean_square_mm2))),
         mean_square_mm2=float(np.mean(distance**2)),
-        near_mm2=share * within,
+        near_mm2=float(np.mean(good)) * within,
         places=samples.places,
         unit="px",
         distance_mm=distance,
@@ -248,60 +227,11 @@ def judge(
     )
 
 
-def _told_causes(fitted: list[Fitted], waves: Waves, within: float, good: float) -> list[Cause]:
-    """Return a cause of each group of terms; where two make one ripple, one of them is named."""
-    found = {}
-    for one in fitted:
-        if not one.told:
-            found[one.name] = Cause(one.name, nan, nan, nan, False)
-            continue
-        named = one.p < LEVEL and one.mean_square >= LEAST_SHARE * within
-        sizes = good * one.mean_square, good * one.deviation
-        found[one.name] = Cause(one.name, *sizes, one.p, named)
-    even, uneven = found.get("unequal light"), found.get("indirect light")
-    if even is not None and uneven is not None and even.named and uneven.named:
-        other = uneven.mean_square_mm2 >= _UNEVEN * even.mean_square_mm2
-        less, more = (even, uneven) if other else (uneven, even)
-        found[less.name] = replace(less, named=False, note=f"part of the {more.name}'s")
-    twice, bent = found.get("vibration"), found.get("response")
-    if even is None or twice is None or not (found[even.name].named and twice.named):
-        return list(found.values())
-    if bent is not None and bent.named and even.rms_mm <= twice.rms_mm:
-        note = "no more than vibration of bent fringes makes"
-        found[even.name] = replace(even, named=False, note=note)
-    elif twice.rms_mm <= _largest_twice(waves) * even.rms_mm:
-        note = "no more than unequal light makes"
-        found[twice.name] = replace(twice, named=False, note=note)
-    return list(found.values())
-
-
-def _largest_twice(waves: Waves) -> float:
-    """Return the ripple of twice the fringes that unequal light makes, by that of once.
-
-    Gains g_k make 2 A / (N B) |sum g exp(i d)| and 1 / N |sum g exp(2 i d)|.  Of three frames both
-    sums are as large; of others, the ratio of independent gains is below this in 95 %.
-    """
-    from scipy.stats import f as fisher
-
-    share = 0.5 * waves.contrast
-    if waves.shifts == 3:
-        return share * 1.2  # and what noise and a bent response do to it
-    return share * float(np.sqrt(fisher.ppf(0.95, 1 if waves.shifts == 4 else 2, 2)))
-
-
-def _far_causes(
-    orders: Orders, distance: Array, stepped: Array, tiles: NDArray[np.intp]
-) -> list[Cause]:
-    """Return the causes of points that are far off: whole periods, and others."""
-    wrong = orders.periods != 0
-    size, deviation, _ = tile_mean(stepped**2, tiles)
-    p = orders.p
-    told = size if not np.isnan(p) else nan
-    named = bool(wrong.any()) and p < LEVEL
-    note = f"{100 * np.mean(wrong):.2g} % of the points" if named else ""
-    found = [Cause("orders", told, deviation, p, named, note, far=True)]
-    size, deviation, _ = tile_mean(np.where(orders.gross, distance, 0.0) ** 2, tiles)
-    share = float(np.mean(orders.gross))
-    note = f"{100 * share:.2g} % of the points" if share > 0.0 else ""
-    found.append(Cause("gross", size, deviation, nan, share >= _GROSS, note, far=True))
-    return found
+def _rest(pixels: NDArray[np.integer], rest: Array, tiles: NDArray[np.intp]) -> Rest:
+    """Split a rest at pixels (N, 2) into what neighbours share and what they do not."""
+    low = pixels.min(axis=0)
+    columns, rows = pixels.max(axis=0) - low + 1
+    image, numbers = np.full((rows, columns), np.nan), np.zeros((rows, columns), np.intp)
+    column, row = (pixels - low).T
+    image[row, column], numbers[row, column] = rest, tiles
+    return split_rest(image, numbers)

@@ -132,6 +132,8 @@ def _peak(
     )
     ratio = own / np.exp(usual)
     best = int(np.argmax(ratio))
+    if not ratio[best] > 0.0:  # no errors at all
+        return None
     p = float(-np.expm1(len(own) * np.log1p(-np.exp(-min(ratio[best], 700.0)))))
     return np.array([fx[best], fy[best]]), p
 

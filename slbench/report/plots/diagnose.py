@@ -56,11 +56,14 @@ def _bars(axes: Any, result: Diagnosis) -> None:
         spread = 100.0 * np.maximum([[share - low], [high - share]], 0.0)
         colour = "C0" if cause.named else "0.75"
         axes.barh(k, 100.0 * share, 0.7, color=colour, xerr=spread, capsize=2)
-    labels = [f"{c.name}{' (far points)' * c.far}: {1e3 * c.rms_mm:.3g} µm" for c in told]
+    labels = [f"{c.name}{', of all points' * c.far}: {1e3 * c.rms_mm:.3g} µm" for c in told]
     axes.set_yticks(range(len(told)), labels, fontsize=8, parse_math=False)
     axes.invert_yaxis()
     axes.set_xlim(0.0, 105.0)
-    axes.set_xlabel("share of the mean squared distance / %; blue: named", fontsize=8)
+    axes.set_xlabel(
+        "share of the mean square, of points that are not far off / %; blue: named",
+        fontsize=8,
+    )
     axes.tick_params(labelsize=8)
     axes.grid(visible=True, axis="x", alpha=0.3)
     axes.set_axisbelow(True)

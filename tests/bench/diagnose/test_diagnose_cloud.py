@@ -141,8 +141,24 @@ def test_few_points_and_a_line_are_refused():
         diagnose_cloud(np.zeros((499, 3)))
     with pytest.raises(InputError, match="do not determine"):
         diagnose_cloud(np.linspace(0.0, 1.0, 900)[:, None] * np.ones(3))
-    with pytest.raises(InputError, match="do not determine"):
-        diagnose_cloud(np.ones((900, 3)))
+
+
+def test_points_that_cover_nothing_and_doubles_are_refused():
+    places = lattice((30, 30))
+    with pytest.raises(InputError, match="500 points at least"):
+        diagnose_cloud(np.repeat(on_a_plane(places[:400], 0.0), 5, axis=0))
+    far = np.vstack([places, [[1e6, 0.0], [0.0, 1e6]]])
+    flat = np.column_stack([far, np.zeros(len(far))])
+    with pytest.raises(InputError, match="points that cover a surface"):
+        diagnose_cloud(flat)
+
+
+def test_an_exact_plane_has_no_errors():
+    places = lattice((30, 30))
+    found = diagnose_cloud(np.column_stack([places, np.zeros(len(places))]))
+    assert found.rms_mm < 1e-9
+    assert names(found) == []
+    assert "nan" not in str(found.table().texts())
 
 
 @pytest.mark.statistics
