@@ -110,9 +110,11 @@ def _by_rows(work: Callable[[slice], None], shape: tuple[int, ...]) -> None:
 
 
 def _numbers(lines: NDArray[Any]) -> NDArray[Any]:
-    """Return lines as real numbers, in single precision unless they are doubles, 0 for none."""
+    """Return lines in single precision unless they are doubles, 0 where they are not finite."""
     real = lines.astype(np.result_type(lines.dtype, np.float32))
-    return real if lines.dtype.kind == "u" else np.nan_to_num(real, copy=False)
+    if lines.dtype.kind == "u":
+        return real
+    return np.nan_to_num(real, copy=False, posinf=0.0, neginf=0.0)
 
 
 def _spectrum(lines: NDArray[Any]) -> tuple[NDArray[Any], float]:

@@ -58,6 +58,20 @@ def test_single_precision_is_lost_in_the_rounding_of_frames():
     np.testing.assert_allclose(single.sigma["u"], double.sigma["u"], rtol=1e-5)
 
 
+def test_what_is_not_finite_spoils_its_neighbourhood_alone():
+    u = tilted()
+    sequence, frames = view("1@3+fourier64", u, 0, 0.0)
+    frames = frames.astype(np.float32)
+    frames[:, 40, 200:202] = np.inf
+    frames[:, 40, 202] = np.nan
+    found = decode(frames, sequence, noise=NOISE)
+    assert not found.mask[40, 200:203].any()
+    # Three dark pixels leak as far as the mean does at the picture's ends: 0.15 px (above).
+    far = np.abs(np.arange(u.shape[1]) - 201) > 4 * 8
+    assert np.nanmax(np.abs(found.coordinate["u"] - u)[:, far]) < 0.15
+    assert found.mask[40, far].mean() > 0.85
+
+
 def test_the_predicted_deviation_is_the_measured_one():
     sequence, clean = view("1@3+fourier64", tilted(), 0, 0.0)
     without = decode(clean, sequence, noise=NOISE).coordinate["u"]
