@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from slbench.calibration.bundle.prior import Prior
 from slbench.calibration.bundle.views import BoardView
 from slbench.calibration.scales import GROSS, NORMAL_MAD
 from slbench.rig import Pose, Rig
@@ -171,6 +172,7 @@ def adjust(
     poses: Sequence[Pose],
     names: Sequence[str],
     kept: Sequence[Mask],
+    prior: Prior | None = None,
 ) -> Adjusted:
     """Adjust the rig and the poses to the views; see the module.
 
@@ -183,24 +185,31 @@ def adjust(
         Parameters of the rig that are free.
     kept : sequence of (n,) bool
         Points of each view to begin with.
+    prior : Prior, optional
+        What was known of the rig before.
     """
     state = Adjusted(rig=rig, poses=tuple(poses), kept=tuple(kept), scales=np.ones((len(views), 2)))
-    state = _scaled(views, _solved(views, state, names, robust=True))
+    state = _scaled(views, _solved(views, state, names, prior, robust=True))
     for round_ in range(_ROUNDS):
         new = _judged(views, state)
         if all(np.array_equal(a, b) for a, b in zip(new, state.kept, strict=True)) and round_ > 1:
             break
-        state = _solved(views, replace(state, kept=new), names, robust=round_ == 0)
+        state = _solved(views, replace(state, kept=new), names, prior, robust=round_ == 0)
         state = _scaled(views, state)
     return state
 
 
 def _solved(
-    views: Sequence[BoardView], state: Adjusted, names: Sequence[str], robust: bool
+    views: Sequence[BoardView],
+    state: Adjusted,
+    names: Sequence[str],
+    prior: Prior | None,
+    robust: bool,
 ) -> Adjusted:
     """Minimise over the points that are kept, with Cauchy's loss or squares."""
     count = len(names)
     size = count + 6 * len(views)
+    known = 0 if prior is None else len(prior.covariance.names)
     parts = [_weights(state, k)[state.kept[k]] for k in range(len(views))]
     some = [_select(view, mask) for view, mask in zip(views, state.kept, strict=True)]
 
@@ -213,14 +222,16 @@ def _solved(
         try:
             rig, poses = unpacked(x)
         except ValueError:  # no such lens: a step too far
-            return np.full(sum(4 * len(view) for view in some), _FAR)
-        off = np.concatenate(
-            [
-                (residuals(rig, pose, view) * weight).ravel()
-                for pose, view, weight in zip(poses, some, parts, strict=True)
-            ]
-        )
-        return np.nan_to_num(off, nan=_FAR)  # beyond the fold of a lens, or behind it
+            return np.full(sum(4 * len(view) for view in some) + known, _FAR)
+        off = [
+            (residuals(rig, pose, view) * weight).ravel()
+            for pose, view, weight in zip(poses, some, parts, strict=True)
+        ]
+        if prior is not None:
+            off.append(prior.residuals(rig))
+        return np.nan_to_num(
+            np.concatenate(off), nan=_FAR
+        )  # beyond the fold of a lens, or behind it
 
     def slope(x: Array) -> Array:
         rig, poses = unpacked(x)
@@ -234,6 +245,8 @@ def _solved(
             block[..., :count] = by_rig
             block[..., count + 6 * k : count + 6 * k + 6] = by_pose
             rows.append((block * weight[..., None]).reshape(-1, size))
+        if prior is not None:
+            rows.append(np.pad(prior.derivatives(names), ((0, 0), (0, size - count))))
         return np.concatenate(rows)
 
     # The first radius of the trust region is the size of the start: that of steps worth trying.

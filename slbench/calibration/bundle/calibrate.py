@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from slbench.calibration.bundle.adjust import Adjusted, adjust, plain_residuals
+from slbench.calibration.bundle.agreement import Agreement
 from slbench.calibration.bundle.models import FOCAL, free_parameters, start_values
+from slbench.calibration.bundle.prior import Prior
 from slbench.calibration.bundle.start import fits_homography, start
 from slbench.calibration.bundle.uncertainty import (
     Uncertainty,
@@ -30,6 +32,7 @@ from slbench.rig import Pose, Rig
 from slbench.rig.parameters import POSE, ROLES, ParameterCovariance, optics_of
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 #: Poses that tell a pinhole's focal length and centre: two constraints each (Zhang, 2000).
 LEAST_VIEWS = 3
@@ -63,6 +66,8 @@ class BoardCalibration:
         Names of the views of which most points do not fit the others: left out whole.
     converged : bool
         Whether the adjustment came to rest.
+    agreement : dict of str to Agreement
+        How well the views agree with each device, where these were known before.
     """
 
     views: tuple[BoardView, ...]
@@ -75,6 +80,7 @@ class BoardCalibration:
     world: str
     strangers: tuple[str, ...] = ()
     converged: bool = True
+    agreement: Mapping[str, Agreement] = field(default_factory=dict)
 
     __repr__ = brief
 
@@ -191,6 +197,9 @@ class BoardCalibration:
             "baseline_mm": dict(zip(("value", "std"), self.baseline_mm, strict=True)),
             "converged": self.converged,
             "undetermined": self.known.undetermined,
+            "agreement": {
+                role: {**asdict(one), "most": one.most} for role, one in self.agreement.items()
+            },
             "normal_spread_deg": normal_spread_deg(self._adjusted),
             "reach": {role: reach_of(self.views, self._adjusted, role) for role in ROLES},
             "predicted_std_um": {
@@ -272,21 +281,65 @@ def calibrate_boards(
         If the board that is the world looks the same when it is turned, or is seen in part.
     """
     _check_sizes(views)
-    names = [view.name for view in views]
-    if world is not None and world not in names:
-        raise InputError("world", f"one of the views: {', '.join(names)[:80]}", world)
     sizes = {"camera": views[0].camera_size, "projector": views[0].panel_size}
     values = start_values(fixed or {}, sizes)
     free = free_parameters(camera_model, projector_model, tuple(values))
+    return calibrated(
+        views,
+        lambda some, masks: start(some, masks, values),
+        free,
+        least=LEAST_VIEWS,
+        models={"camera": camera_model, "projector": projector_model},
+        fixed=values,
+        world=world,
+    )
+
+
+def calibrated(
+    views: Sequence[BoardView],
+    begin: Callable[[Sequence[BoardView], Sequence[Mask]], tuple[Rig, list[Pose]]],
+    free: Sequence[str],
+    *,
+    least: int,
+    models: Mapping[str, str],
+    fixed: Mapping[str, float],
+    world: str | None,
+    prior: Prior | None = None,
+) -> BoardCalibration:
+    """Adjust a rig to views, without those that do not fit, and place it in the world.
+
+    Parameters
+    ----------
+    views : sequence of BoardView
+    begin : callable
+        Returns rig and poses to start from, of some views and masks of their points.
+    free : sequence of str
+        Parameters that are fitted.
+    least : int
+        Views that it takes.
+    models, fixed, world
+        As of :class:`BoardCalibration` and :func:`calibrate_boards`.
+    prior : Prior, optional
+        What was known of the parameters before.
+
+    Raises
+    ------
+    InputError
+        As :func:`calibrate_boards`.
+    """
+    names = [view.name for view in views]
+    if world is not None and world not in names:
+        raise InputError("world", f"one of the views: {', '.join(names)[:80]}", world)
     views = list(views)
     strangers: list[str] = []
     while True:
-        if len(views) < LEAST_VIEWS:
+        if len(views) < least:
             got = f"{len(views)}; {', '.join(strangers)} do not fit"
-            raise InputError("boards", f"{LEAST_VIEWS} poses that fit together, at least", got)
+            poses = "poses that fit together" if least > 1 else "pose that fits"
+            raise InputError("boards", f"{least} {poses}, at least", got)
         masks = [fits_homography(view) for view in views]
-        rig, poses = start(views, masks, values)
-        found = adjust(views, rig, poses, free, masks)
+        rig, places = begin(views, masks)
+        found = adjust(views, rig, places, free, masks, prior)
         alien = [
             k
             for k, mask in enumerate(found.kept)
@@ -296,7 +349,7 @@ def calibrate_boards(
             break
         strangers += [views[k].name for k in alien]
         views = [view for k, view in enumerate(views) if k not in alien]
-    known = uncertainty(views, found, free)
+    known = uncertainty(views, found, free, prior)
     lost = [name for name in known.undetermined if name.partition(".")[2] in FOCAL]
     if lost:
         expected = f"poses that determine {lost[0]}"
@@ -312,8 +365,8 @@ def calibrate_boards(
         poses=placed.poses,
         kept=placed.kept,
         known=known,
-        models={"camera": camera_model, "projector": projector_model},
-        fixed=values,
+        models=models,
+        fixed=fixed,
         world="working distance" if world is None else f"board {world}",
         strangers=tuple(strangers),
         converged=found.converged,

@@ -83,24 +83,45 @@ def start(
     lit = [view.panel[mask] for view, mask in zip(views, masks, strict=True)]
     camera, poses = _device(boards, seen, views[0].camera_size, "camera", fixed)
     projector, other = _device(boards, lit, views[0].panel_size, "projector", fixed)
-    # Both are poses of boards, in the camera's and in the projector's frame.
-    best, least = Pose(), np.inf
-    device = Projector(*views[0].panel_size, **projector)
+    device = related(Projector(*views[0].panel_size, **projector), boards, lit, poses, other)
+    points = np.concatenate([p.to_world(b) for p, b in zip(poses, boards, strict=True)])
+    extent = np.maximum(np.ptp(points, axis=0), 1e-3)
+    volume = (float(extent[0]), float(extent[1]), float(extent[2]))
+    return Rig(Camera(*views[0].camera_size, **camera), device, volume), poses
+
+
+def related(
+    projector: Projector,
+    boards: Sequence[Array],
+    lit: Sequence[Array],
+    poses: Sequence[Pose],
+    other: Sequence[Pose],
+) -> Projector:
+    """Return the projector in the camera's frame, where it suits all boards best.
+
+    Parameters
+    ----------
+    projector : Projector
+    boards : sequence of (n, 3) float
+        Points of each board.
+    lit : sequence of (n, 2) float
+        Where the panel has them.
+    poses, other : sequence of Pose
+        Of the boards, in the camera's and in the projector's frame.
+    """
+    best, least = projector.posed(Pose()), np.inf
     for own, theirs in zip(poses, other, strict=True):
         rotation = own.rotation @ theirs.rotation.T
         candidate = Pose(_nearest(rotation), own.position - rotation @ theirs.position)
-        placed = device.posed(candidate)
+        placed = projector.posed(candidate)
         misses = [
             np.linalg.norm(placed.project(pose.to_world(board)) - panel, axis=1)
             for pose, board, panel in zip(poses, boards, lit, strict=True)
         ]
         size = float(np.median(np.nan_to_num(np.concatenate(misses), nan=np.inf)))
         if size < least:
-            best, least = candidate, size
-    points = np.concatenate([p.to_world(b) for p, b in zip(poses, boards, strict=True)])
-    extent = np.maximum(np.ptp(points, axis=0), 1e-3)
-    volume = (float(extent[0]), float(extent[1]), float(extent[2]))
-    return Rig(Camera(*views[0].camera_size, **camera), device.posed(best), volume), poses
+            best, least = placed, size
+    return best
 
 
 def _device(

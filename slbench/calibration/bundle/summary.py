@@ -6,9 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from slbench.calibration.bundle.agreement import Agreement
 from slbench.calibration.bundle.calibrate import BoardCalibration
 from slbench.core.errors import InputError
 from slbench.core.show.document import Cell, Table
+from slbench.rig.parameters import ROLES
 
 #: Rows of the table of points left out.
 _LISTED = 50
@@ -112,7 +114,25 @@ def doubts(found: BoardCalibration) -> dict[str, str]:
     """Return what poses do not tell, and views that are left out, by what it is about."""
     told = dict.fromkeys(found.strangers, "most of its points do not fit the others: left out")
     if not found.converged:
-        told["adjustment"] = "did not come to rest: fix what the poses hardly tell (--fix)"
+        what = "add poses" if found.agreement else "fix what the poses hardly tell (--fix)"
+        told["adjustment"] = f"did not come to rest: {what}"
+    told |= _disagreement(found.agreement)
     for name, why in found.known.undetermined.items():
-        told[name] = f"{why} (--fix {name})"
+        told[name] = why if found.agreement else f"{why} (--fix {name})"
     return told
+
+
+def _disagreement(agreement: Mapping[str, Agreement]) -> dict[str, str]:
+    """Say that views do not fit devices as stated, which of them, and why that may be."""
+    wrong = {what: one for what, one in agreement.items() if one.doubtful}
+    if not wrong:
+        return {}
+    blamed = [role for role in ROLES if role in wrong]
+    one = wrong[blamed[0]] if len(blamed) == 1 else next(iter(wrong.values()))
+    exact = ", or less certain than exact, as no covariance stands beside it" if one.exact else ""
+    why = (
+        f"boards do not fit it as stated (chi-square {one.chi_square:.3g}, {one.most:.3g} at most "
+        f"is likely): focused again or zoomed, another lens, another part of the sensor{exact}? "
+        "Calibrate it again"
+    )
+    return {blamed[0] if len(blamed) == 1 else "camera or projector": why}

@@ -10,11 +10,13 @@ near each other are alike, and a pose tells less than its points promise.  Score
 (I - H_ii)^(-1/2) r_i`` of whole poses show it (R. M. Bell, D. F. McCaffrey, *Survey Methodology*
 28, 2002: unbiased where residuals are independent):
 
-    f = mean over the q parameters of  s^T C s,  summed over poses,
+    f = (sum of  s^T C s  over poses) / q
 
-is 1 on average where they are, with a deviation of ``sqrt(2 / q)``.  A whole covariance by clusters
-needs many more poses than parameters, but this one number does not.  Where f is above 1 by more
-than two deviations, the covariance is multiplied with it.
+is 1 on average where they are, with a deviation of ``sqrt(2 / q)``.  q is what poses tell, ``tr(C
+sum A~^T A~)``: the number of parameters, less what was known before or one pose alone tells.  A
+whole covariance by clusters needs many more poses than parameters, but this one number does not.
+Where f is above 1 by more than two deviations, the covariance of what poses tell is multiplied with
+it.
 
 **What poses do not tell.**  A parameter whose deviation is beyond a stated size is not determined.
 That of distortion is told by what a picture would show of it: pixels in its farthest corner.
@@ -30,6 +32,7 @@ from numpy.typing import NDArray
 
 from slbench.calibration.bundle.adjust import Adjusted, derivatives, residuals
 from slbench.calibration.bundle.models import FOCAL
+from slbench.calibration.bundle.prior import Prior
 from slbench.calibration.bundle.views import BoardView
 from slbench.rig.device import Device
 from slbench.rig.parameters import ParameterCovariance
@@ -76,7 +79,12 @@ class Uncertainty:
     undetermined: dict[str, str]
 
 
-def uncertainty(views: Sequence[BoardView], found: Adjusted, names: Sequence[str]) -> Uncertainty:
+def uncertainty(
+    views: Sequence[BoardView],
+    found: Adjusted,
+    names: Sequence[str],
+    prior: Prior | None = None,
+) -> Uncertainty:
     """Return what is known of the parameters; see the module.
 
     Parameters
@@ -85,7 +93,10 @@ def uncertainty(views: Sequence[BoardView], found: Adjusted, names: Sequence[str
     found : Adjusted
     names : sequence of str
         Parameters of the rig that were free.
+    prior : Prior, optional
+        What was known of them before: rows of A beside the poses'.
     """
+    before = np.zeros((0, len(names))) if prior is None else prior.derivatives(names)
     tall, right, scaled = [], [], np.array(found.scales)
     counts = np.zeros((len(views), 2))
     blocks = derivatives(found.rig, found.poses, views, names)
@@ -95,7 +106,7 @@ def uncertainty(views: Sequence[BoardView], found: Adjusted, names: Sequence[str
         counts[len(tall) - 1] = 2.0 * np.count_nonzero(mask)
     # Scaling by chi-square changes the leverages a little: thrice.
     for _ in range(3):
-        inverse, parts = _solve(tall, right, scaled)
+        inverse, parts = _solve(tall, right, scaled, before)
         squares, freedom = np.zeros(2), np.zeros(2)
         for r, h in parts["residuals"]:
             for device in (0, 1):
@@ -104,11 +115,11 @@ def uncertainty(views: Sequence[BoardView], found: Adjusted, names: Sequence[str
                 freedom[device] += np.sum(1.0 - h[:, columns])
         factor = np.sqrt(squares / np.maximum(freedom, 1.0))
         scaled = scaled * np.maximum(factor, 1e-6)
-    inverse, parts = _solve(tall, right, scaled)
-    pose_factor = _pose_factor(parts["poses"], inverse)
+    inverse, parts = _solve(tall, right, scaled, before)
+    pose_factor, told = _pose_factor(parts["poses"], inverse)
     covariance = inverse
-    if pose_factor > 1.0 + _EVIDENCE * np.sqrt(2.0 / len(names)):
-        covariance = inverse * pose_factor
+    if pose_factor > 1.0 + _EVIDENCE * np.sqrt(2.0 / told):
+        covariance, _ = _solve(tall, right, scaled * np.sqrt(pose_factor), before)
     # What the deviations as predicted would have had for a mean square.
     chi = {
         role: float(np.average(scaled[:, k] ** 2, weights=counts[:, k]))
@@ -124,7 +135,7 @@ def uncertainty(views: Sequence[BoardView], found: Adjusted, names: Sequence[str
 
 
 def _solve(
-    tall: Sequence[tuple[Array, Array]], right: Sequence[Array], scales: Array
+    tall: Sequence[tuple[Array, Array]], right: Sequence[Array], scales: Array, before: Array
 ) -> tuple[Array, dict[str, list]]:
     """Return the covariance, residuals with leverages, and each pose's reduced rows."""
     reduced, own, weighted = [], [], []
@@ -138,7 +149,7 @@ def _solve(
         reduced.append(rows - q @ (q.T @ rows))
         own.append(q)
         weighted.append(r * weight)
-    stacked = np.concatenate(reduced)
+    stacked = np.concatenate((*reduced, before))
     size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
     values, vectors = np.linalg.eigh((stacked / size).T @ (stacked / size))
     # What nothing tells gets a huge deviation, not an infinite one.
@@ -152,18 +163,22 @@ def _solve(
     return inverse, {"residuals": both, "poses": poses}
 
 
-def _pose_factor(poses: Sequence[tuple[Array, Array]], inverse: Array) -> float:
-    """Return the factor f of the module's docstring."""
+def _pose_factor(poses: Sequence[tuple[Array, Array]], inverse: Array) -> tuple[float, float]:
+    """Return the factor f of the module's docstring, and how many parameters poses tell.
+
+    What one pose alone tells has no error left, and counts nowhere.
+    """
     values, vectors = np.linalg.eigh(inverse)
     root = vectors * np.sqrt(np.maximum(values, 0.0))  # C = root root^T
-    total = 0.0
+    total, told = 0.0, 0.0
     for rows, r in poses:
         u, s, vt = np.linalg.svd(rows @ root, full_matrices=False)
         freedom = np.maximum(1.0 - s**2, _LEAST_FREEDOM)
         # A pose's score in the covariance's own axes.
         score = vt.T @ (s * (u.T @ r) / np.sqrt(freedom))
         total += float(score @ score)
-    return total / len(inverse)
+        told += float(np.sum(s**2 * (1.0 - s**2) / freedom))
+    return (total / told, told) if told > _RANK else (1.0, 1.0)
 
 
 def _undetermined(
