@@ -463,6 +463,8 @@ STARTS = {
     "fuse": "photos --out out/a.png",
     "register": "v0.ply v1.ply --positions pos.csv --out out",
     "calibrate board": "capture --board chequerboard --size 9x7 --pitch-mm 8 --out out/r.yaml",
+    "calibrate combine": "capture/rig.yaml capture/rig.yaml capture --board chequerboard "
+    "--size 9x7 --pitch-mm 8 --out out/r.yaml",
     "calibrate fit": "points.csv --out out/m.json",
     "calibrate apply": "model.json capture --out out/c.ply",
     "calibrate run": "missing --out out",

@@ -1,4 +1,4 @@
-"""``slbench calibrate board``: captures of boards to a rig with its covariance, and refusals."""
+"""``slbench calibrate board`` and ``combine``: captures of boards to a rig with its covariance."""
 
 import json
 from dataclasses import replace
@@ -10,7 +10,8 @@ from board_scenes import board_scene, captured, free_poses, light_of, placed, tr
 from scenes_small import check_refused, run_cli
 
 from slbench.capture.capture import Capture
-from slbench.rig.opencv import read_rig
+from slbench.rig import Pose
+from slbench.rig.opencv import read_rig, write_rig
 from slbench.rig.parameters import read_covariance
 
 BOARD = ("--board", "chequerboard", "--size", "9x7", "--pitch-mm", "8")
@@ -142,3 +143,85 @@ def test_a_mirrored_picture_is_refused_by_name(folder, tmp_path):
     (why,) = json.loads(outcome.out)["refused"].values()
     assert "mirrored" in why
     assert "flipped" in why
+
+
+@pytest.fixture(scope="module")
+def moved(folder):
+    """Captures in two poses after the camera was moved, and where the projector then is."""
+    scene, _ = board_scene("chequerboard", divisor=2, samples=SAMPLES)
+    camera = scene.rig.camera
+    place = camera.pose.position + np.array([-30.0, 25.0, 20.0])
+    pose = Pose.looking_at(place, np.array([4.0, -3.0, 0.0]), camera.pose.rotation[:, 1])
+    other = replace(scene, rig=scene.rig.having(camera=camera.posed(pose)))
+    for k, at in enumerate(free_poses(2, seed=4)):
+        shot = placed(other, at)
+        captured(shot, light_of(shot, seed=20 + k), seed=20 + k).save(folder / f"moved{k}")
+    return [folder / "moved0", folder / "moved1"], true_parameters(other.rig)
+
+
+def test_a_camera_that_was_moved_is_combined_again_by_two_poses(
+    folder, calibrated, moved, tmp_path
+):
+    folders, true = moved
+    rig = folder / "rig.yaml"
+    outcome = run_cli(
+        *("calibrate", "combine", rig, rig, *folders, *BOARD, "--json"),
+        *("--out", tmp_path / "again.yaml", "--report", tmp_path / "page.html"),
+    )
+    assert outcome.status == 0, outcome.err
+    assert "focused again" not in outcome.err
+    found = json.loads(outcome.out)
+    errors = {
+        name: (one["value"] - true[name]) / one["std"]
+        for name, one in found["parameters"].items()
+        if one["std"]
+    }
+    # 18 parameters of one draw, as above.
+    assert max(map(abs, errors.values())) < 4.0, errors
+    assert found["models"] == {"camera": "as stated", "projector": "as stated"}
+    # Two poses tell less than five did, and lenses no less than was known of them.
+    before, after = read_covariance(rig).std, read_covariance(tmp_path / "again.yaml").std
+    assert before.keys() == after.keys()
+    assert all(after[name] < 1.01 * before[name] for name in before if "_px" in name)
+    assert "pose" in (tmp_path / "page.html").read_text()
+    for name in ("again-calibration.json", "again-provenance.json"):
+        assert (tmp_path / name).exists()
+
+
+def test_one_pose_and_a_rig_without_covariance(folder, calibrated, moved, tmp_path):
+    folders, true = moved
+    plain = tmp_path / "plain.yaml"
+    write_rig(plain, read_rig(folder / "rig.yaml"))
+    outcome = run_cli(
+        *("calibrate", "combine", plain, folder / "rig.yaml", folders[0], *BOARD),
+        *("--out", tmp_path / "again.yaml"),
+    )
+    assert outcome.status == 0, outcome.err
+    assert "plain.yaml: no covariance of the camera stands beside it" in " ".join(
+        outcome.err.split()
+    )
+    rig = read_rig(tmp_path / "again.yaml")
+    place = rig.camera.pose.to_local(rig.projector.pose.position)
+    expected = [true[f"projector.{name}"] for name in ("tx_mm", "ty_mm", "tz_mm")]
+    # Of some 150 mm, by one board of 70 mm: a hundredth.
+    np.testing.assert_allclose(place, expected, atol=0.01 * np.linalg.norm(expected))
+
+
+def test_refusals_of_combine(folder, calibrated, moved, tmp_path):
+    folders, _ = moved
+    rig = folder / "rig.yaml"
+    out = ("--out", tmp_path / "new" / "rig.yaml")
+    (tmp_path / "new").mkdir()
+
+    def refused(*words, expecting):
+        check_refused(run_cli("calibrate", "combine", *words), *expecting)
+        assert not list((tmp_path / "new").iterdir())
+
+    refused(folder / "gone.yaml", rig, *folders, *BOARD, *out, expecting=("gone.yaml",))
+    refused(rig, rig, *folders, *BOARD, *out, "--size", "9", expecting=("--size", "9x7"))
+    refused(rig, rig, *folders, *BOARD, "--out", tmp_path / "r.txt", expecting=(".yaml",))
+    fine = read_rig(rig)
+    wide = fine.having(camera=replace(fine.camera, width=640))
+    write_rig(tmp_path / "wide.yaml", wide, read_covariance(rig))
+    words = ("moved0", "camera of 640 x 240 px", "320 x 240")
+    refused(tmp_path / "wide.yaml", rig, *folders, *BOARD, *out, expecting=words)

@@ -8,6 +8,7 @@ group = Group(
     {
         "Commands": {
             "board": "slbench.cli.calibrate.board:board",
+            "combine": "slbench.cli.calibrate.combine:combine",
             "points": "slbench.cli.calibrate.points:points",
             "planes": "slbench.cli.calibrate.planes:planes",
             "fit": "slbench.cli.calibrate.fit:fit",

@@ -3,14 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from slbench.cli.common import AllowModules, AllowOutside, Json, print_json, print_table, progress
+from slbench.cli.calibrate.boards import (
+    Dictionary,
+    Kind,
+    Marker,
+    Out,
+    Pitch,
+    Report,
+    Size,
+    Staggered,
+    World,
+    board_of,
+    check_outputs,
+    conclude,
+    views_of,
+    world_of,
+)
+from slbench.cli.common import AllowModules, AllowOutside, Json
 from slbench.cli.lazy import command
-from slbench.core.errors import InputError, located, warn_user
-from slbench.core.validation.types import Length
 
 
 @command(
@@ -22,30 +36,13 @@ def board(
         list[Path],
         typer.Argument(help="Captures of the board in free poses, both panel axes coded."),
     ],
-    kind: Annotated[
-        Literal["chequerboard", "circle-grid", "charuco"],
-        typer.Option("--board", help="What is printed on it."),
-    ],
-    size: Annotated[
-        str,
-        typer.Option(metavar="CxR", help="Inner corners, dots or ChArUco's squares: 9x7."),
-    ],
-    pitch_mm: Annotated[
-        Length,
-        typer.Option(help="From one to the next; of staggered rows, from row to row."),
-    ],
-    staggered: Annotated[
-        bool, typer.Option("--staggered", help="Rows of the circle grid are shifted in turn.")
-    ] = False,
-    marker_mm: Annotated[
-        Length | None, typer.Option(help="Side of a ChArUco board's markers.")
-    ] = None,
-    dictionary: Annotated[
-        str, typer.Option(help="Their dictionary, a name of cv2.aruco.")
-    ] = "DICT_4X4_50",
-    out: Annotated[Path, typer.Option(help="Rig to write (.yaml), with its covariance.")] = Path(
-        "rig.yaml"
-    ),
+    kind: Kind,
+    size: Size,
+    pitch_mm: Pitch,
+    staggered: Staggered = False,
+    marker_mm: Marker = None,
+    dictionary: Dictionary = "DICT_4X4_50",
+    out: Out = Path("rig.yaml"),
     camera_model: Annotated[
         str, typer.Option(help="Of its lens: plain, radial or brown.")
     ] = "brown",
@@ -59,16 +56,8 @@ def board(
             help="Do not fit a parameter: k3, camera.cx_px=319.5; give each.",
         ),
     ] = None,
-    world: Annotated[
-        str,
-        typer.Option(
-            metavar="distance|board:FOLDER",
-            help="Origin where the optical axes come closest, or the frame of a folder's board.",
-        ),
-    ] = "distance",
-    report: Annotated[
-        Path | None, typer.Option(help="Report to write too: one HTML page (.html).")
-    ] = None,
+    world: World = "distance",
+    report: Report = None,
     allow_modules: AllowModules = False,
     allow_outside: AllowOutside = False,
     as_json: Json = False,
@@ -80,51 +69,18 @@ def board(
     """
     from slbench.calibration.bundle.calibrate import calibrate_boards
     from slbench.calibration.bundle.models import read_fixed
-    from slbench.calibration.bundle.summary import (
-        doubts,
-        parameter_table,
-        pose_table,
-        sentences,
-    )
-    from slbench.calibration.bundle.views import size_doubt, view_folders
-    from slbench.calibration.target.free import FreeBoard
-    from slbench.core.io import check_output_file, write_json
-    from slbench.core.io.folders import files_beside
-    from slbench.rig.opencv import write_rig
 
-    check_output_file(out, (".yaml", ".yml"))
-    beside = files_beside("board calibration", out)
-    beside.check(out.parent, "--out")
-    if report is not None:
-        from slbench.report.page import check_page_path, write_page
-        from slbench.report.pages.board import board_page
-
-        check_page_path(report)
-    columns, rows = _size(size)
-    with located("--board"):
-        target = FreeBoard(
-            kind=kind,
-            columns=columns,
-            rows=rows,
-            pitch_mm=pitch_mm,
-            staggered=staggered,
-            marker_mm=marker_mm,
-            dictionary=dictionary,
-        )
+    check_outputs(out, report)
+    target = board_of(kind, size, pitch_mm, staggered, marker_mm, dictionary)
     fixed = read_fixed(fix or (), "--fix")
-    place = _world(world, folders)
-    with progress(as_json) as tell:
-        views, refused = view_folders(
-            folders,
-            target,
-            allow_modules=allow_modules,
-            allow_outside=allow_outside,
-            on_progress=tell,
-        )
-    for problem in refused.values():
-        warn_user(problem.where, f"expected {problem.expected}, got {problem.got}: left out")
-    if doubt := size_doubt(views):
-        warn_user("--size", doubt)
+    place = world_of(world, folders)
+    views, refused = views_of(
+        folders,
+        target,
+        allow_modules=allow_modules,
+        allow_outside=allow_outside,
+        as_json=as_json,
+    )
     found = calibrate_boards(
         views,
         camera_model=camera_model,
@@ -132,8 +88,6 @@ def board(
         fixed=fixed,
         world=place,
     )
-    for where, doubt in doubts(found).items():
-        warn_user(where, doubt)
     parameters = {
         "folders": [str(folder) for folder in folders],
         "board": target.name,
@@ -145,41 +99,4 @@ def board(
         "fix": fix or [],
         "world": world,
     }
-    outcome = found.to_dict() | {"refused": {name: str(why) for name, why in refused.items()}}
-    calibration = out.with_name(f"{out.stem}-calibration.json")
-    with beside.writing(out.parent, parameters, None) as temporary:
-        write_rig(temporary / out.name, found.rig, found.covariance)
-        write_json(temporary / calibration.name, outcome)
-    written = {"out": str(out), "calibration": str(calibration)}
-    if report is not None:
-        title = f"Calibration by {len(found.views)} boards"
-        write_page(board_page(found, refused, parameters=parameters, title=title), report)
-        written["report"] = str(report)
-    if as_json:
-        print_json(outcome | written)
-        return
-    print_table(pose_table(found, refused))
-    print_table(parameter_table(found))
-    for sentence in sentences(found):
-        print(sentence)
-    print(f"Written to {' and '.join(written.values())}")
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Parse columns and rows: ``9x7``."""
-    columns, _, rows = text.lower().replace("×", "x").partition("x")
-    if not (columns.strip().isdigit() and rows.strip().isdigit()):
-        raise InputError("--size", "columns x rows, such as 9x7", repr(text))
-    return int(columns), int(rows)
-
-
-def _world(text: str, folders: list[Path]) -> str | None:
-    """Return the folder whose board is the world; None for the working distance."""
-    if text == "distance":
-        return None
-    kind, _, name = text.partition(":")
-    if kind != "board" or not name:
-        raise InputError("--world", "distance, or board:FOLDER", repr(text))
-    if Path(name) not in folders:
-        raise InputError("--world", "one of the folders", repr(name))
-    return str(Path(name))
+    conclude(found, refused, out=out, report=report, parameters=parameters, as_json=as_json)
