@@ -389,7 +389,7 @@ class PatternSequence(Value):
             ``"gray+16@8"``.  A count is any real number (``28.8@4``), or a period (``22.5px``);
             ``@0/90/180`` is a list of shifts in degrees.  A last word forces what tells fringes
             apart: ``"15,16@4+heterodyne"``, ``"16@4+spatial"``.  Spaces stand beside these signs
-            alone: ``"1 10 50"`` is not ``"11050"``.  A name of :data:`NAMED` is a whole set.
+            alone: ``"1 10 50"`` is not ``"11050"``.  A word of :data:`NAMED` is a whole set.
         panel : (int, int)
             Panel width and height in pixels.
         shifts : int
@@ -407,7 +407,7 @@ class PatternSequence(Value):
         if axes not in ("u", "v", "uv", "vu"):
             raise InputError("patterns: axes", '"u", "v", "uv" or "vu"', repr(axes))
         found = compact(text)
-        found = NAMED.get(found, found)
+        found = "+".join(NAMED.get(word, word) for word in found.split("+"))
         joined = re.sub(r"\s+", "+", re.sub(r"(?<=\d)\s+(?=\d)", ",", found))
         *words, last = joined.split("+")
         forced = bool(words) and last in _WAYS
@@ -476,5 +476,6 @@ def _read_word(where: str, word: str, axis: Axis, shifts: int) -> list[Code]:
         if codes is not None:
             return list(codes)
         words += family.words
+    words += NAMED
     expected = " or ".join([", ".join(words[:-1]), words[-1]])
     raise InputError(where, expected, quoted(word, words))

@@ -49,3 +49,7 @@ def test_the_characterisation_has_a_name():
     assert len(set(flats)) == 9
     assert PatternSequence.parse(sequence.name, PANEL) == sequence
     sequence.runs()
+    more = PatternSequence.parse("characterisation+grey0.1", PANEL)
+    assert more.parts == (*sequence.parts, Flat(0.1))
+    with pytest.raises(InputError, match="did you mean 'characterisation'"):
+        PatternSequence.parse("characterization", PANEL)
