@@ -55,6 +55,9 @@ def diagnose(
         Shifts | None, typer.Option(help="Of a cloud: frames of the finest fringes.")
     ] = None,
     rig: Annotated[Path | None, typer.Option(help="Rig to triangulate with: rig.yaml.")] = None,
+    page: Annotated[
+        Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
+    ] = None,
     gamma: Gamma = None,
     response: ResponseFile = None,
     allow_modules: AllowModules = False,
@@ -72,6 +75,10 @@ def diagnose(
     window = None if region is None else window_of(region, "--region")
     target = out or (measured if measured.is_dir() else measured.parent) / "diagnosis"
     DIAGNOSIS_FOLDER.check(target, "--out")
+    if page is not None:
+        from slbench.report.page import check_page_path
+
+        check_page_path(page)
     straight = read_response(gamma, response)
     if measured.suffix.lower() in (".ply", ".csv"):
         given = {"--region": region, "--rig": rig, "--gamma": gamma, "--response": response}
@@ -114,16 +121,23 @@ def diagnose(
         "shifts": shifts,
         "response": str(straight) if straight else None,
     }
-    write_diagnosis(replace(result, parameters=parameters), target)
+    result = replace(result, parameters=parameters)
+    write_diagnosis(result, target)
+    if page is not None:
+        from slbench.report.page import write_page
+        from slbench.report.pages.diagnose import diagnosis_page
+
+        write_page(diagnosis_page(result), page)
     if as_json:
-        print_json(result.to_dict() | {"out": str(target)})
+        written = {"out": str(target)} | ({} if page is None else {"report": str(page)})
+        print_json(result.to_dict() | written)
         return
     table = result.table()
     print_table(table)
     print(table.note)
     for sentence in result.sentences():
         print(sentence)
-    print(f"Written to {target}: open {target / 'diagnosis.png'}")
+    print(f"Written to {target}: open {page or target / 'diagnosis.png'}")
 
 
 def _cloud(path: Path) -> tuple[Any, dict[str, Any]]:

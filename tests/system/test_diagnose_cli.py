@@ -33,8 +33,12 @@ def test_the_cause_is_printed_and_written(scanned, tmp_path):
     assert named == ["response"]
     assert "patterns write --response" in next(c["remedy"] for c in written["causes"] if c["named"])
     assert cv2.imread(str(out / "diagnosis.png")).std() > 10.0
-    printed = run_cli("diagnose", scanned, "--out", out, "--json")
-    assert json.loads(printed.out) == written | {"out": str(out)}
+    page = tmp_path / "page.html"
+    printed = run_cli("diagnose", scanned, "--out", out, "--report", page, "--json")
+    assert json.loads(printed.out) == written | {"out": str(out), "report": str(page)}
+    shown = page.read_text()
+    assert "patterns write --response" in shown
+    assert "data:image/png" in shown
 
 
 def test_the_remedy_that_is_named_takes_the_cause_away(scanned, tmp_path):
@@ -52,6 +56,11 @@ def test_a_region_that_is_none_is_refused(scanned, tmp_path, region):
     done = run_cli("diagnose", scanned, "--region", region, "--out", tmp_path / "out")
     check_refused(done, "--region", "four whole numbers")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_diameter_of_a_plane_is_questioned(scanned, tmp_path):
+    done = run_cli("diagnose", scanned, "--diameter-mm", 25, "--out", tmp_path / "out")
+    assert "of a plane, which has no diameter" in done.out
 
 
 def test_what_holds_too_little_is_refused(scanned, tmp_path):

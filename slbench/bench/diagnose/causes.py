@@ -46,8 +46,8 @@ SIGNATURES: dict[str, Signature] = {
     ),
     "pixels": Signature(
         "ripple, one panel pixel",
-        "the projector's pixels are sharp: a sinusoid is a staircase",
-        "defocus the projector by about a pixel, or take a panel with more pixels",
+        "the projector's pixels are sharp: a sinusoid is a staircase; or a code of whole pixels",
+        "defocus the projector by about a pixel, take more pixels, or fringes after the code",
     ),
     "indirect light": Signature(
         "ripple as the fringes, uneven",

@@ -177,6 +177,8 @@ class Diagnosis:
                     f", {1e3 * off:+.1f} µm ({1e6 * off / self.diameter_mm:+.0f} ppm) off the known"
                 )
             lines.append(text)
+        elif self.diameter_mm is not None:
+            lines.append("the points are of a plane, which has no diameter: is the ball chosen?")
         return [*lines, *self.notes]
 
     def table(self) -> Table:
