@@ -46,10 +46,10 @@ ROLES = ("camera", "projector")
 LENS = ("fx_px", "fy_px", "cx_px", "cy_px")
 TILT = ("tau_x_rad", "tau_y_rad")
 _TURN = ("rx_rad", "ry_rad", "rz_rad")
-_SHIFT = ("tx_mm", "ty_mm", "tz_mm")
+SHIFT = ("tx_mm", "ty_mm", "tz_mm")
 #: Parameters of a device's lens and panel, of its pose, and all of them.
 OPTICS = (*LENS, *COEFFICIENTS, *TILT)
-POSE = (*_TURN, *_SHIFT)
+POSE = (*_TURN, *SHIFT)
 DEVICE_PARAMETERS = (*OPTICS, *POSE)
 #: Parameters of a rig of one camera and one projector.
 RIG_PARAMETERS = tuple(f"{role}.{name}" for role in ROLES for name in DEVICE_PARAMETERS)
@@ -107,6 +107,12 @@ class ParameterCovariance:
     def std(self) -> dict[str, float]:
         """Standard deviations by name."""
         return dict(zip(self.names, np.sqrt(np.diag(self.matrix)).tolist(), strict=True))
+
+    def part(self, names: Sequence[str]) -> Array:
+        """Return the covariance of some parameters, (k, k); zero of those that are not in it."""
+        which = [self.names.index(name) if name in self.names else -1 for name in names]
+        known = np.array(which) >= 0
+        return np.where(np.outer(known, known), self.matrix[np.ix_(which, which)], 0.0)
 
     def draw(self, seed: int) -> dict[str, float]:
         """Return an error drawn from a normal distribution, by name."""
@@ -217,7 +223,7 @@ def _moved(device: Any, error: Mapping[str, float]) -> Camera | Projector:
 
     own = optics_of(device)
     fx, fy, cx, cy, *distortion = (own.get(name, 0.0) + error[name] for name in OPTICS)
-    turn, shift = ([error[name] for name in names] for names in (_TURN, _SHIFT))
+    turn, shift = ([error[name] for name in names] for names in (_TURN, SHIFT))
     # The pixel's width stays, its height takes up the difference, as in a file of OpenCV's.
     focal = fx * device.pitch_mm[0]
     rotation, position = device.pose.rotation, device.pose.position

@@ -299,6 +299,17 @@ class Rig:
         return float(np.linalg.norm(self.projector.pose.position))
 
     @property
+    def baseline(self) -> Array:
+        """From the camera's nodal point to the projector's, (3,), mm.
+
+        From its axis where the camera is telecentric, whose place along it does not matter.
+        """
+        offset = self.camera.pose.to_local(self.projector.pose.position)
+        if self.camera.lens.kind == "telecentric":
+            offset[2] = 0.0
+        return self.camera.pose.rotation @ offset
+
+    @property
     def angle(self) -> float:
         """Triangulation angle: between the two lines from the origin to the devices, rad.
 

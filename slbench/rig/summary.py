@@ -22,7 +22,9 @@ def summary_of(rig: Rig) -> dict[str, Any]:
     dict
         ``camera`` and ``projector``: ``name``, ``size_px``, ``focal_px`` (along u and v),
         ``focal_mm``, ``pitch_um``, ``principal_point_px``, ``field_deg`` (across and down, from
-        edge to edge through the panel's place nearest to the principal point), ``distortion``,
+        edge to edge through the panel's place nearest to the principal point), of a telecentric
+        lens ``field_mm`` (likewise) and ``pixel_um`` (on the object, along u and v),
+        ``distortion``,
         ``aperture_radius_mm``, ``focus_distance_mm``, ``position_mm``; ``baseline_mm``; ``axes``:
         ``angle_deg`` between them, and where they come closest before the lenses (else None),
         ``camera_mm``, ``projector_mm``, ``gap_mm``, ``middle_mm``; ``volume_mm``; ``doubts``: list
@@ -43,7 +45,7 @@ def summary_of(rig: Rig) -> dict[str, Any]:
     return {
         "camera": {"name": rig.only.camera} | _device(camera),
         "projector": {"name": rig.only.projector} | _device(projector),
-        "baseline_mm": float(np.linalg.norm(projector.pose.position - camera.pose.position)),
+        "baseline_mm": float(np.linalg.norm(rig.baseline)),
         "axes": {
             "angle_deg": float(np.rad2deg(np.arctan2(sine, one @ two))),
             "closest": crossing,
@@ -59,13 +61,18 @@ def _device(device: Device) -> dict[str, Any]:
     # A shifted lens has its axis beside the panel.
     across, down = np.clip(device.centre, -0.5, (right, bottom))
     ends = np.array([[-0.5, down], [right, down], [across, -0.5], [across, bottom]])
+    origins, directions = device.unproject(ends)
+    field: dict[str, Any] = {"field_deg": _angles(directions)}
+    if lens.kind == "telecentric":
+        field["field_mm"] = np.linalg.norm(origins[1::2] - origins[::2], axis=1).tolist()
+        field["pixel_um"] = (1e3 * lens.focus_distance_mm / np.diag(matrix)[:2]).tolist()
     return {
         "size_px": [device.width, device.height],
         "focal_px": [float(matrix[0, 0]), float(matrix[1, 1])],
         "focal_mm": lens.focal_length_mm,
         "pitch_um": [1e3 * pitch for pitch in device.pitch_mm],
         "principal_point_px": list(device.centre),
-        "field_deg": _angles(device.unproject(ends)[1]),
+        **field,
         "distortion": device.opencv_distortion.tolist(),
         "aperture_radius_mm": lens.aperture_radius_mm,
         "focus_distance_mm": lens.focus_distance_mm,
@@ -79,6 +86,12 @@ def _angles(rays: np.ndarray) -> list[float]:
         float(np.rad2deg(np.arctan2(np.linalg.norm(np.cross(one, two)), one @ two)))
         for one, two in (rays[:2], rays[2:])
     ]
+
+
+def _field(device: dict[str, Any]) -> str:
+    if "field_mm" in device:
+        return f"{numbers(device['field_mm'], ' x ')} mm, telecentric"
+    return f"{numbers(device['field_deg'], ' x ')}°"
 
 
 def _focus(device: dict[str, Any]) -> str:
@@ -98,7 +111,7 @@ def summary_table(summary: dict[str, Any]) -> Table:
             f"{length(one['focal_mm'])} at {numbers(one['pitch_um'], ' x ')} µm" for one in devices
         ],
         "principal point (px)": [numbers(one["principal_point_px"]) for one in devices],
-        "field of view": [f"{numbers(one['field_deg'], ' x ')}°" for one in devices],
+        "field of view": [_field(one) for one in devices],
         "distortion": [numbers(one["distortion"]) for one in devices],
         "aperture radius": [
             length(one["aperture_radius_mm"]) if one["aperture_radius_mm"] else "pinhole"
@@ -107,6 +120,10 @@ def summary_table(summary: dict[str, Any]) -> Table:
         "in focus at": [_focus(one) for one in devices],
         "position (mm)": [numbers(one["position_mm"]) for one in devices],
     }
+    if any("pixel_um" in one for one in devices):
+        lines["pixel on the object"] = [
+            f"{numbers(one['pixel_um'], ' x ')} µm" if "pixel_um" in one else "" for one in devices
+        ]
     closest = summary["axes"]["closest"]
     if closest is not None:
         lines["axes come closest at"] = [

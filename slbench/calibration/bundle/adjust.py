@@ -240,7 +240,7 @@ def _solved(
         for k, ((by_rig, by_pose), weight) in enumerate(zip(blocks, parts, strict=True)):
             # The pose's parameters are about the pose at the start, not about this one.
             change = x[count + 6 * k : count + 6 * k + 6]
-            by_pose[..., :3] = by_pose[..., :3] @ _right_jacobian(change[:3])
+            by_pose[..., :3] = by_pose[..., :3] @ right_jacobian(change[:3])
             block = np.zeros((len(by_rig), 4, size))
             block[..., :count] = by_rig
             block[..., count + 6 * k : count + 6 * k + 6] = by_pose
@@ -267,7 +267,7 @@ def _solved(
     return replace(state, rig=rig, poses=tuple(poses), converged=found.status > 0)
 
 
-def _right_jacobian(turn: Array) -> Array:
+def right_jacobian(turn: Array) -> Array:
     """Return J with ``exp(a + d) = exp(a) exp(J d)`` to first order, (3, 3)."""
     angle = float(np.linalg.norm(turn))
     x, y, z = turn

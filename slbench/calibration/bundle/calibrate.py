@@ -11,11 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from slbench.calibration.bundle.adjust import Adjusted, adjust, plain_residuals
+from slbench.calibration.bundle.adjust import Adjusted, adjust, plain_residuals, right_jacobian
 from slbench.calibration.bundle.agreement import Agreement
-from slbench.calibration.bundle.models import FOCAL, free_parameters, start_values
+from slbench.calibration.bundle.models import FOCAL, TELECENTRIC, free_parameters, start_values
 from slbench.calibration.bundle.prior import Prior
 from slbench.calibration.bundle.start import fits_homography, start
+from slbench.calibration.bundle.telecentric import (
+    conventional,
+    conventional_covariance,
+    start_telecentric,
+)
 from slbench.calibration.bundle.uncertainty import (
     Uncertainty,
     normal_spread_deg,
@@ -29,7 +34,7 @@ from slbench.core.errors import InputError, warn_user
 from slbench.core.show.display import brief
 from slbench.patterns import Axis
 from slbench.rig import Pose, Rig
-from slbench.rig.parameters import POSE, ROLES, ParameterCovariance, optics_of
+from slbench.rig.parameters import POSE, ROLES, SHIFT, ParameterCovariance, optics_of
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,7 +64,7 @@ class BoardCalibration:
     models : dict of str to str
         Model of each device.
     fixed : dict of str to float
-        Parameters that were fixed.
+        Parameters that were fixed, those that are conventions with them.
     world : str
         How it was placed.
     strangers : tuple of str
@@ -153,7 +158,7 @@ class BoardCalibration:
         """
         camera = self.rig.camera.pose
         table: dict[str, tuple[float, float]] = {}
-        std = self.covariance.std
+        std = self.covariance.std | self._pose_std
         for role in ROLES:
             device = getattr(self.rig, role)
             values = optics_of(device)
@@ -162,26 +167,48 @@ class BoardCalibration:
                 place = camera.to_local(device.pose.position)
                 values |= dict(zip(POSE, (*turn, *place), strict=True))
             table |= {
-                f"{role}.{name}": (float(value), std.get(f"{role}.{name}", 0.0))
-                for name, value in values.items()
+                name: (float(value), 0.0 if name in self.fixed else std.get(name, 0.0))
+                for name, value in ((f"{role}.{own}", value) for own, value in values.items())
             }
         return table
 
     @property
+    def _pose_std(self) -> dict[str, float]:
+        """Deviations of the projector's rotation vector and position in the camera's frame."""
+        rotation = self.rig.camera.pose.rotation.T @ self.rig.projector.pose.rotation
+        names = [f"projector.{name}" for name in POSE]
+        # The covariance is of a turn about the projector's own axes, and of a shift along them.
+        change = np.zeros((6, 6))
+        vector = Rotation.from_matrix(rotation).as_rotvec()
+        change[:3, :3] = np.linalg.inv(right_jacobian(vector))
+        change[3:, 3:] = rotation
+        variance = np.diag(change @ self.covariance.part(names) @ change.T)
+        return dict(zip(names, np.sqrt(np.maximum(variance, 0.0)).tolist(), strict=True))
+
+    @property
     def baseline_mm(self) -> tuple[float, float]:
-        """Distance of the two lenses and its deviation, mm."""
-        offset = self.rig.projector.pose.to_local(self.rig.camera.pose.position)
+        """Distance of the two lenses and its deviation, mm; from a telecentric camera's axis."""
+        offset = self.rig.baseline
         length = float(np.linalg.norm(offset))
-        names = [f"projector.{name}" for name in ("tx_mm", "ty_mm", "tz_mm")]
-        which = [self.covariance.names.index(name) for name in names]
-        part = self.covariance.matrix[np.ix_(which, which)]
-        along = offset / length
+        along = self.rig.projector.pose.rotation.T @ offset / length
+        part = self.covariance.part([f"projector.{name}" for name in SHIFT])
         return length, float(np.sqrt(along @ part @ along))
+
+    @property
+    def pixel_um(self) -> tuple[float, float] | None:
+        """Size of a telecentric camera's pixel on the object, across, and its deviation, um."""
+        camera = self.rig.camera
+        if camera.lens.kind != "telecentric":
+            return None
+        focal = float(camera.matrix[0, 0])
+        size = 1e3 * camera.lens.focus_distance_mm / focal
+        return size, size * self.covariance.std.get("camera.fx_px", 0.0) / focal
 
     def to_dict(self) -> dict[str, Any]:
         """Return the outcome as plain values for JSON."""
         _, *deviations = self.predicted
         seen = np.isfinite(deviations[0][:, 2])
+        pixel = self.pixel_um
         return {
             "views": len(self.views),
             "points": int(sum(mask.sum() for mask in self.kept)),
@@ -195,6 +222,11 @@ class BoardCalibration:
                 name: {"value": value, "std": std} for name, (value, std) in self.parameters.items()
             },
             "baseline_mm": dict(zip(("value", "std"), self.baseline_mm, strict=True)),
+            **(
+                {}
+                if pixel is None
+                else {"pixel_um": dict(zip(("value", "std"), pixel, strict=True))}
+            ),
             "converged": self.converged,
             "undetermined": self.known.undetermined,
             "agreement": {
@@ -257,7 +289,8 @@ def calibrate_boards(
     views : sequence of BoardView
         Three at least.
     camera_model, projector_model : str
-        Of :data:`~slbench.calibration.bundle.models.DEVICE_MODELS`.
+        Of :data:`~slbench.calibration.bundle.models.CAMERA_MODELS` and
+        :data:`~slbench.calibration.bundle.models.DEVICE_MODELS`.
     fixed : mapping of str to float or None
         Parameters by full name that stay at a value, or where they start.
     world : str, optional
@@ -272,8 +305,8 @@ def calibrate_boards(
     Raises
     ------
     InputError
-        With too few views, views of other sizes, no such world, or poses that do not determine a
-        focal length.
+        With too few views, views of other sizes, no such world, poses that do not determine a
+        focal length, or a value for what a telecentric camera has in units of its distance.
 
     Warns
     -----
@@ -282,11 +315,12 @@ def calibrate_boards(
     """
     _check_sizes(views)
     sizes = {"camera": views[0].camera_size, "projector": views[0].panel_size}
-    values = start_values(fixed or {}, sizes)
+    values = start_values(fixed or {}, sizes, camera_model)
+    begin = start_telecentric if camera_model == TELECENTRIC else start
     free = free_parameters(camera_model, projector_model, tuple(values))
     return calibrated(
         views,
-        lambda some, masks: start(some, masks, values),
+        lambda some, masks: begin(some, masks, values),
         free,
         least=LEAST_VIEWS,
         models={"camera": camera_model, "projector": projector_model},
@@ -350,6 +384,11 @@ def calibrated(
         strangers += [views[k].name for k in alien]
         views = [view for k, view in enumerate(views) if k not in alien]
     known = uncertainty(views, found, free, prior)
+    if models["camera"] == TELECENTRIC:
+        depth = float(rig.projector.pose.position[2])
+        found = conventional(found, depth)
+        fixed = {**fixed, "projector.tz_mm": depth}
+        known = replace(known, covariance=conventional_covariance(found.rig, known.covariance))
     lost = [name for name in known.undetermined if name.partition(".")[2] in FOCAL]
     if lost:
         expected = f"poses that determine {lost[0]}"

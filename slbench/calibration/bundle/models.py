@@ -1,8 +1,13 @@
 """Which parameters of a device are fitted: its camera model, and what is fixed of it.
 
-The models are nested.  ``plain`` is a pinhole; ``radial`` has k1 and k2; ``brown`` adds p1, p2 and
-k3 (D. C. Brown, 1971).  A sensor's tilt is not fitted: to first order it is the tangential
-distortion of ``brown``, and a shift of the centre; boards hardly tell them apart.
+Those of central devices are nested.  ``plain`` is a pinhole; ``radial`` has k1 and k2; ``brown``
+adds p1, p2 and k3 (D. C. Brown, 1971).  A sensor's tilt is not fitted: to first order it is the
+tangential distortion of ``brown``, and a shift of the centre; boards hardly tell them apart.
+
+``telecentric`` is a camera with parallel rays (B. Li and S. Zhang, "Flexible calibration method for
+microscopic structured light system using telecentric lens", Opt. Express 23(20), 2015): a
+magnification along each axis, k1, p1 and p2.  Its centre is the panel's, as a shift of it is one of
+all else, but for what it makes of k1: that of p1 and p2.
 """
 
 from __future__ import annotations
@@ -11,6 +16,7 @@ from collections.abc import Mapping, Sequence
 
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
+from slbench.rig.coefficients import COEFFICIENTS
 from slbench.rig.parameters import LENS, OPTICS, POSE, ROLES
 
 FOCAL = ("fx_px", "fy_px")
@@ -21,6 +27,11 @@ DEVICE_MODELS: dict[str, tuple[str, ...]] = {
     "radial": _RADIAL,
     "brown": (*_RADIAL, "p1", "p2", "k3"),
 }
+TELECENTRIC = "telecentric"
+#: Those of cameras.
+CAMERA_MODELS = DEVICE_MODELS | {TELECENTRIC: ("k1", "p1", "p2")}
+#: What no picture of a telecentric camera tells: where its axis is, and how far along it.
+CONVENTIONS = ("camera.cx_px", "camera.cy_px", "projector.tz_mm")
 
 
 def free_parameters(
@@ -31,7 +42,7 @@ def free_parameters(
     Parameters
     ----------
     camera_model, projector_model : str
-        Of :data:`DEVICE_MODELS`.
+        Of :data:`CAMERA_MODELS` and :data:`DEVICE_MODELS`.
     fixed : sequence of str
         Full names (``camera.k3``) that are not.
 
@@ -41,13 +52,16 @@ def free_parameters(
         For another model.
     """
     names = []
-    for role, model in zip(ROLES, (camera_model, projector_model), strict=True):
-        if model not in DEVICE_MODELS:
-            expected = f"one of {', '.join(DEVICE_MODELS)}"
-            raise InputError(f"{role} model", expected, quoted(model, tuple(DEVICE_MODELS)))
-        own = (*LENS, *DEVICE_MODELS[model], *(POSE if role == "projector" else ()))
+    chosen = ((camera_model, CAMERA_MODELS), (projector_model, DEVICE_MODELS))
+    for role, (model, models) in zip(ROLES, chosen, strict=True):
+        if model not in models:
+            raise InputError(
+                f"{role} model", f"one of {', '.join(models)}", quoted(model, tuple(models))
+            )
+        own = (*LENS, *models[model], *(POSE if role == "projector" else ()))
         names += [f"{role}.{name}" for name in own]
-    return tuple(name for name in names if name not in fixed)
+    told = CONVENTIONS if camera_model == TELECENTRIC else ()
+    return tuple(name for name in names if name not in (*fixed, *told))
 
 
 def read_fixed(texts: Sequence[str], where: str) -> dict[str, float | None]:
@@ -91,9 +105,23 @@ def read_fixed(texts: Sequence[str], where: str) -> dict[str, float | None]:
 
 
 def start_values(
-    fixed: Mapping[str, float | None], sizes: Mapping[str, tuple[int, int]]
+    fixed: Mapping[str, float | None],
+    sizes: Mapping[str, tuple[int, int]],
+    camera_model: str = "brown",
 ) -> dict[str, float]:
-    """Return the values of what is fixed by full names, with those that were left open."""
+    """Return the values of what is fixed by full names, with those that were left open.
+
+    Raises
+    ------
+    InputError
+        For a value of a telecentric camera that is in units of its distance, which is found only.
+    """
+    if camera_model == TELECENTRIC:
+        fixed = dict.fromkeys(CONVENTIONS[:2]) | dict(fixed)
+        for name in (f"camera.{own}" for own in (*FOCAL, *COEFFICIENTS)):
+            if fixed.get(name):
+                expected = "no value for a telecentric camera, whose distance is a convention"
+                raise InputError(f"fixed {name}", expected, fixed[name])
     middle = {
         f"{role}.{name}": 0.5 * (sizes[role][axis] - 1)
         for role in ROLES

@@ -26,7 +26,7 @@ from slbench.rig.parameters import TILT
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-_NOMINAL_PITCH_MM = 0.005
+NOMINAL_PITCH_MM = 0.005
 #: Points off a homography by less are not gross, px, or this share of the board's size in view:
 #: distortion bends it.
 _LEAST_GROSS_PX, _BENT = 2.0, 0.02
@@ -81,8 +81,8 @@ def start(
     boards = [view.points_mm[mask] for view, mask in zip(views, masks, strict=True)]
     seen = [view.pixels[mask] for view, mask in zip(views, masks, strict=True)]
     lit = [view.panel[mask] for view, mask in zip(views, masks, strict=True)]
-    camera, poses = _device(boards, seen, views[0].camera_size, "camera", fixed)
-    projector, other = _device(boards, lit, views[0].panel_size, "projector", fixed)
+    camera, poses = device_start(boards, seen, views[0].camera_size, "camera", fixed)
+    projector, other = device_start(boards, lit, views[0].panel_size, "projector", fixed)
     device = related(Projector(*views[0].panel_size, **projector), boards, lit, poses, other)
     points = np.concatenate([p.to_world(b) for p, b in zip(poses, boards, strict=True)])
     extent = np.maximum(np.ptp(points, axis=0), 1e-3)
@@ -124,14 +124,33 @@ def related(
     return best
 
 
-def _device(
+def device_start(
     boards: Sequence[Array],
     seen: Sequence[Array],
     size: tuple[int, int],
     role: str,
     fixed: Mapping[str, float],
 ) -> tuple[dict[str, Any], list[Pose]]:
-    """Calibrate one device: arguments of its class, and the boards' poses in its frame."""
+    """Calibrate one device by Zhang's method.
+
+    Parameters
+    ----------
+    boards : sequence of (n, 3) float
+        Points of each board in its own frame, mm.
+    seen : sequence of (n, 2) float
+        Where the device has them, px.
+    size : (int, int)
+        Of its panel, px.
+    role : str
+    fixed : mapping of str to float
+
+    Returns
+    -------
+    arguments : dict of str to Any
+        Of its class.
+    poses : list of Pose
+        Of the boards in its frame.
+    """
     width = float(size[0])
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K1 | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3
     nominal = np.array(
@@ -189,16 +208,19 @@ def _device(
             ("cy_px", matrix[1, 2]),
         )
     )
-    focal = fx * _NOMINAL_PITCH_MM
+    focal = fx * NOMINAL_PITCH_MM
     arguments = {
-        "pitch_mm": (_NOMINAL_PITCH_MM, focal / fy),
+        "pitch_mm": (NOMINAL_PITCH_MM, focal / fy),
         "lens": Lens(focal),
         "principal_point": (cx, cy),
         "distortion": tuple(fixed.get(f"{role}.{k}", 0.0) for k in COEFFICIENTS),
         "tilt_rad": tuple(fixed.get(f"{role}.{tau}", 0.0) for tau in TILT),
     }
     poses = [
-        Pose(_nearest(cv2.Rodrigues(rotation)[0]), np.asarray(offset, dtype=np.float64).ravel())
+        Pose(
+            _nearest(cv2.Rodrigues(rotation)[0]),
+            np.asarray(offset, dtype=np.float64).ravel(),
+        )
         for rotation, offset in zip(rotations, offsets, strict=True)
     ]
     return arguments, poses

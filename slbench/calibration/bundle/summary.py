@@ -49,6 +49,13 @@ def parameter_table(found: BoardCalibration) -> Table:
     length, std = found.baseline_mm
     rows.append(("baseline / mm", f"{length:.7g}", f"{std:.3g}"))
     note = "The projector's turn (rotation vector) and place are in the camera's frame."
+    if found.pixel_um is not None:
+        size, std = found.pixel_um
+        rows.append(("camera pixel on the object / µm", f"{size:.7g}", f"{std:.3g}"))
+        note += (
+            " A telecentric camera's centre and its place along its axis are conventions; the "
+            "baseline is from its axis."
+        )
     return Table("Parameters", ("parameter", "value", "deviation"), tuple(rows), note)
 
 

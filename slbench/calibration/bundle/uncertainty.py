@@ -186,23 +186,23 @@ def _undetermined(
 ) -> dict[str, str]:
     """Name the parameters that the poses do not determine, how far off they may be, and why."""
     rig, told = found.rig, {}
-    baseline = float(np.linalg.norm(rig.projector.pose.position))
+    baseline = float(np.linalg.norm(rig.baseline))
     for name, deviation in known.std.items():
         role, _, own = name.partition(".")
         device = getattr(rig, role)
         focal = float(device.matrix[0, 0])
         if own in FOCAL:
             limit, size = FOCAL_SHARE * focal, f"{deviation:.3g} px of {focal:.4g}"
-            why = _angles(found)
+            why = _angles(found, device)
         elif own.endswith("_px"):
             limit, size = CENTRE_SHARE * device.width, f"{deviation:.3g} px"
-            why = _angles(found)
+            why = _angles(found, device)
         elif own.endswith("_mm"):
             limit, size = SHIFT_SHARE * baseline, f"{deviation:.3g} mm of {baseline:.4g}"
-            why = _angles(found)
+            why = _angles(found, device)
         elif own.endswith("_rad"):
             limit, size = TURN_RAD, f"{np.degrees(deviation):.3g} deg"
-            why = _angles(found)
+            why = _angles(found, device)
         else:
             moves = deviation * _corner_radius(device) ** _POWERS[own] * focal
             limit, deviation = DISTORTION_PX, moves
@@ -213,13 +213,15 @@ def _undetermined(
     return told
 
 
-def _angles(found: Adjusted) -> str:
-    """Say why a pinhole is not determined."""
+def _angles(found: Adjusted, device: Device) -> str:
+    """Say why a lens and its place are not determined."""
     spread = normal_spread_deg(found)
     if spread < _PARALLEL_DEG:
+        central = device.lens.kind == "perspective"
+        what = "focal length and distance" if central else "magnification and tilt"
         return (
-            f"all boards are nearly parallel (their normals spread by {spread:.2g} deg), and focal "
-            "length and distance are not separable; tilt the board by 20 to 40 deg about two axes"
+            f"all boards are nearly parallel (their normals spread by {spread:.2g} deg), and "
+            f"{what} are not separable; tilt the board by 20 to 40 deg about two axes"
         )
     return "few or similar poses; add boards tilted by 20 to 40 deg about other axes"
 

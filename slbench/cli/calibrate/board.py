@@ -44,7 +44,7 @@ def board(
     dictionary: Dictionary = "DICT_4X4_50",
     out: Out = Path("rig.yaml"),
     camera_model: Annotated[
-        str, typer.Option(help="Of its lens: plain, radial or brown.")
+        str, typer.Option(help="Of its lens: plain, radial, brown or telecentric.")
     ] = "brown",
     projector_model: Annotated[
         str, typer.Option(help="Of its lens: plain, radial or brown.")
