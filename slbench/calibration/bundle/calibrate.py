@@ -20,6 +20,7 @@ from slbench.calibration.bundle.telecentric import (
     conventional,
     conventional_covariance,
     start_telecentric,
+    without_perspective,
 )
 from slbench.calibration.bundle.uncertainty import (
     Uncertainty,
@@ -222,11 +223,7 @@ class BoardCalibration:
                 name: {"value": value, "std": std} for name, (value, std) in self.parameters.items()
             },
             "baseline_mm": dict(zip(("value", "std"), self.baseline_mm, strict=True)),
-            **(
-                {}
-                if pixel is None
-                else {"pixel_um": dict(zip(("value", "std"), pixel, strict=True))}
-            ),
+            "pixel_um": pixel and dict(zip(("value", "std"), pixel, strict=True)),
             "converged": self.converged,
             "undetermined": self.known.undetermined,
             "agreement": {
@@ -311,9 +308,12 @@ def calibrate_boards(
     Warns
     -----
     InputWarning
-        If the board that is the world looks the same when it is turned, or is seen in part.
+        If the board that is the world looks the same when it is turned, or is seen in part, and if
+        a camera of another model looks telecentric.
     """
     _check_sizes(views)
+    if camera_model != TELECENTRIC and without_perspective(views):
+        warn_user("camera model", "tilted boards show no perspective: is the lens telecentric?")
     sizes = {"camera": views[0].camera_size, "projector": views[0].panel_size}
     values = start_values(fixed or {}, sizes, camera_model)
     begin = start_telecentric if camera_model == TELECENTRIC else start

@@ -118,8 +118,9 @@ def start_values(
     """
     if camera_model == TELECENTRIC:
         fixed = dict.fromkeys(CONVENTIONS[:2]) | dict(fixed)
-        for name in (f"camera.{own}" for own in (*FOCAL, *COEFFICIENTS)):
-            if fixed.get(name):
+        for own in (*FOCAL, *COEFFICIENTS):
+            name = f"camera.{own}"
+            if fixed.get(name) or (own in FOCAL and name in fixed):
                 expected = "no value for a telecentric camera, whose distance is a convention"
                 raise InputError(f"fixed {name}", expected, fixed[name])
     middle = {

@@ -217,10 +217,7 @@ def device_start(
         "tilt_rad": tuple(fixed.get(f"{role}.{tau}", 0.0) for tau in TILT),
     }
     poses = [
-        Pose(
-            _nearest(cv2.Rodrigues(rotation)[0]),
-            np.asarray(offset, dtype=np.float64).ravel(),
-        )
+        Pose(_nearest(cv2.Rodrigues(rotation)[0]), np.asarray(offset, dtype=np.float64).ravel())
         for rotation, offset in zip(rotations, offsets, strict=True)
     ]
     return arguments, poses

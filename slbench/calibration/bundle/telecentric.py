@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
@@ -36,6 +37,11 @@ Mask = NDArray[np.bool_]
 
 #: Weight of pixels being square, where boards tell nothing else.
 _SQUARE = 1e-3
+#: An affine map fits like a homography where it leaves less than this times as much, and this more:
+#: a homography takes up a part of the distortion too.
+_ALIKE, _BENT_PX = 1.5, 0.3
+#: A board is tilted where one direction is foreshortened to this: by 15 degrees and more.
+_TILTED = 0.966
 
 
 def start_telecentric(
@@ -61,12 +67,8 @@ def start_telecentric(
     across = np.array([(offset - centre) / per_mm for _, offset in maps])
     places = np.array([turn @ pose.position for pose in theirs])
     distance = float(np.median([np.linalg.norm(pose.position) for pose in theirs]))
-    shift = np.array(
-        [
-            *np.median(across - places[:, :2], axis=0),
-            distance - np.median(places[:, 2]),
-        ]
-    )
+    aside = np.median(across - places[:, :2], axis=0)
+    shift = np.array([*aside, distance - np.median(places[:, 2])])
     poses = [
         Pose(rotation, np.array([*xy, place[2] + shift[2]]))
         for rotation, xy, place in zip(rotations, across, places, strict=True)
@@ -83,6 +85,27 @@ def start_telecentric(
     )
     projector = Projector(*views[0].panel_size, **arguments, pose=Pose(turn, shift))
     return Rig(camera, projector), poses
+
+
+def without_perspective(views: Sequence[BoardView]) -> bool:
+    """Return whether boards, tilted ones among them, are seen by affine maps as by homographies."""
+    tilts = []
+    for view in views:
+        plane = view.points_mm[:, :2]
+        homography, _ = cv2.findHomography(plane, view.pixels, cv2.LMEDS)
+        if homography is None:
+            return False
+        mapped = cv2.perspectiveTransform(plane[None], homography)[0]
+        matrix, offset = _affine(plane, view.pixels)
+        central, parallel = (
+            float(np.median(np.linalg.norm(found - view.pixels, axis=1)))
+            for found in (mapped, plane @ matrix.T + offset)
+        )
+        if parallel > _ALIKE * central + _BENT_PX:
+            return False
+        larger, smaller = np.linalg.svd(matrix)[1]
+        tilts.append(smaller / larger)
+    return min(tilts) < _TILTED
 
 
 def _affine(plane: Array, seen: Array) -> tuple[Array, Array]:

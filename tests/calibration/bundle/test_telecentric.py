@@ -12,9 +12,9 @@ from slbench.calibration.bundle.calibrate import calibrate_boards
 from slbench.calibration.bundle.models import TELECENTRIC, read_fixed
 from slbench.calibration.bundle.start import fits_homography
 from slbench.calibration.bundle.summary import parameter_table
-from slbench.calibration.bundle.telecentric import start_telecentric
+from slbench.calibration.bundle.telecentric import start_telecentric, without_perspective
 from slbench.cloud.triangulation import intersect_axis
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
 from slbench.rig import Lens, Pose, Rig
 from slbench.rig.opencv import read_rig, write_rig
 from slbench.rig.parameters import moved, read_covariance
@@ -217,13 +217,30 @@ def test_parallel_boards_do_not_determine_the_magnification():
     assert "camera.f" in str(caught.value)
 
 
+def test_boards_without_perspective_are_questioned():
+    exact, noisy = projected_views(RIG, 4), projected_views(RIG, 4, seed=3)
+    central = projected_views(macro_rig(), 4, seed=3)
+    assert without_perspective(exact)
+    assert without_perspective(noisy)
+    assert not without_perspective(central)
+    # Boards square to the axis show none in any camera.
+    square = Pose(np.diag([1.0, -1.0, -1.0]), np.array([0.0, 0.0, FOCUS]))
+    assert not without_perspective([projected_view(macro_rig(), square, "flat")])
+    # The question comes before all that may go wrong with such a model.
+    with (
+        pytest.warns(InputWarning, match="camera model: .* is the lens telecentric"),
+        pytest.raises(InputError, match="projector model"),
+    ):
+        calibrate_boards(exact, projector_model="none")
+
+
 def test_bad_input():
     views = projected_views(RIG, 3)
     with pytest.raises(InputError, match="projector model: expected one of plain, radial, brown"):
         calibrated(views, projector_model=TELECENTRIC)
     with pytest.raises(InputError, match="did you mean 'telecentric'"):
         calibrate_boards(views, camera_model="telecentrik")
-    for text in ("camera.fx_px=5000", "camera.k1=0.1"):
+    for text in ("camera.fx_px=5000", "camera.fx_px=0", "camera.k1=0.1"):
         with pytest.raises(InputError, match="no value for a telecentric camera"):
             calibrated(views, fixed=read_fixed([text], "--fix"))
     found = calibrated(views, fixed=read_fixed(["camera.cx_px=310", "p1", "p2", "k1"], "--fix"))
