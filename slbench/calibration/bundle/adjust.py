@@ -247,7 +247,8 @@ def _solved(
             rows.append((block * weight[..., None]).reshape(-1, size))
         if prior is not None:
             rows.append(np.pad(prior.derivatives(names), ((0, 0), (0, size - count))))
-        return np.concatenate(rows)
+        # Where a point is beyond a fold or behind a device, no step is told.
+        return np.nan_to_num(np.concatenate(rows), nan=0.0, posinf=0.0, neginf=0.0)
 
     # The first radius of the trust region is the size of the start: that of steps worth trying.
     offset = np.zeros(size)

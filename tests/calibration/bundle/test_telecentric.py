@@ -246,3 +246,12 @@ def test_bad_input():
     found = calibrated(views, fixed=read_fixed(["camera.cx_px=310", "p1", "p2", "k1"], "--fix"))
     assert found.rig.camera.centre[0] == 310.0
     assert not any(found.rig.camera.distortion)
+
+
+@pytest.mark.slow  # a lens that none of the trials fits
+def test_a_stated_focal_length_on_boards_without_perspective_ends_in_a_misfit() -> None:
+    views = projected_views(RIG, seed=0)
+    fixed = {"camera.fx_px": 3000.0, "camera.fy_px": 3000.0}
+    found = calibrate_boards(views, camera_model="plain", fixed=fixed)
+    # Of noise of some hundredths of a pixel.
+    assert found.rms_px(0) > 3.0
