@@ -312,12 +312,12 @@ def calibrate_boards(
         a camera of another model looks telecentric.
     """
     _check_sizes(views)
-    if camera_model != TELECENTRIC and without_perspective(views):
-        warn_user("camera model", "tilted boards show no perspective: is the lens telecentric?")
     sizes = {"camera": views[0].camera_size, "projector": views[0].panel_size}
     values = start_values(fixed or {}, sizes, camera_model)
     begin = start_telecentric if camera_model == TELECENTRIC else start
     free = free_parameters(camera_model, projector_model, tuple(values))
+    if camera_model != TELECENTRIC and without_perspective(views):
+        warn_user("camera model", "tilted boards show no perspective: is the lens telecentric?")
     return calibrated(
         views,
         lambda some, masks: begin(some, masks, values),
