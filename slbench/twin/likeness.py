@@ -23,9 +23,8 @@ Mask = NDArray[np.bool_]
 WINDOW = 9
 #: Relative differences of noise and of contrast beyond which a twin does not fit, and the chi^2.
 NOISE, CONTRAST, CHI_SQUARE = 0.05, 0.02, 1.5
-#: Times the twin's own steady error of points, and what all points may have beside it, in panel
-#: pixels, beyond which it does not fit.
-POINTS, POINTS_PX = 2.0, 0.02
+#: Times the twin's own steady error of points beyond which it does not fit.
+POINTS = 2.0
 #: Pixels that a judgement needs.
 LEAST = 200
 
@@ -80,8 +79,6 @@ class PointLikeness:
 
     photographed_mm: Array
     simulated_mm: Array
-    mm_per_px: float
-    """Of a panel pixel, usual."""
 
     @property
     def both(self) -> Mask:
@@ -113,6 +110,8 @@ class Likeness:
     points : PointLikeness
     white_dn : float
         Of the brightest frame, above black: what brightness is a share of.
+    chi_square_map : (V, U) float
+        Mean over the held-out frames, pixel by pixel; NaN where none was judged.
     """
 
     frames: tuple[FrameLikeness, ...]
@@ -120,6 +119,7 @@ class Likeness:
     noise: NoiseLikeness | None
     points: PointLikeness
     white_dn: float
+    chi_square_map: Array
 
     __repr__ = brief
 
@@ -156,10 +156,15 @@ class Likeness:
                 "read noise, vibration or flicker"
             )
         one, other = self.points.steady_mm()
-        if not one <= POINTS * other + POINTS_PX * self.points.mm_per_px:
+        if not self.points.both.any():
+            found.append(
+                "no point of the photographs and the twin is on the same surface: another rig, a "
+                "unit, or another place"
+            )
+        elif not one <= POINTS * other:
             found.append(
                 f"points are off by {1e3 * one:.3g} µm, steadily, the twin's by "
-                f"{1e3 * other:.3g} µm: another shape, the rig, or the projector's response"
+                f"{1e3 * other:.3g} µm: the rig, another shape, or the projector's response"
             )
         return found
 
@@ -224,8 +229,8 @@ def frame_likeness(
     vibration_px: float,
     where: Mask,
     held_out: Mask,
-) -> tuple[FrameLikeness, ...]:
-    """Compare frames one by one.
+) -> tuple[tuple[FrameLikeness, ...], Array]:
+    """Compare frames one by one; return each, and the map of :attr:`Likeness.chi_square_map`.
 
     Parameters
     ----------
@@ -241,6 +246,7 @@ def frame_likeness(
     """
     model, black = detector.noise_model(), detector.black_dn
     found = []
+    total = np.zeros(where.shape)
     for k, frame in enumerate(capture.sequence.frames()):
         own, twin = capture.frames[k].astype(np.float64), expected[k].astype(np.float64)
         off = own - twin
@@ -253,6 +259,8 @@ def frame_likeness(
             + sampling
             + vibration_px**2 * slope
         )
+        chi_square = off**2 / variance
+        total += held_out[k] * chi_square
         found.append(
             FrameLikeness(
                 frame=k,
@@ -263,10 +271,10 @@ def frame_likeness(
                 rms_dn=_rms(off[where]),
                 expected_rms_dn=float(np.sqrt(variance[where].mean())),
                 steady_rms_dn=_rms(averaged(off, where)[where]),
-                chi_square=float(np.mean(off[where] ** 2 / variance[where])),
+                chi_square=float(np.mean(chi_square[where])),
             )
         )
-    return tuple(found)
+    return tuple(found), np.where(where, total / np.count_nonzero(held_out), np.nan)
 
 
 def contrast_likeness(

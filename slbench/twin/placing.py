@@ -18,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.cloud.triangulation import PointCloud
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.random import generator
+from slbench.core.show.display import length
 from slbench.objects import Artefact
 from slbench.rig import Pose, Rig
 from slbench.rig.pose import product
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-#: Points that a place needs.
-_LEAST = 50
+#: Points that a place needs, and how many times an object and its cloud may differ in size.
+_LEAST, _UNLIKE = 50, 100.0
 #: Points of the cloud and of the object that a start is looked for with; planes that are tried.
 _CLOUD, _SURFACE, _PLANES = 500, 4000, 300
 #: Turns that are tried, and share of the points of a plane that is looked for.
@@ -100,11 +101,23 @@ def place(artefact: Artefact, cloud: PointCloud, rig: Rig, start: Pose | None = 
     ------
     InputError
         For fewer than 50 points, or an object that no ray meets at the start.
+
+    Warns
+    -----
+    InputWarning
+        If the object is a hundred times as large as the cloud, or as small.
     """
     from slbench.simulate.render.groundtruth import Surfaces, ground_truth
 
     if len(cloud) < _LEAST:
         raise InputError("place", f"at least {_LEAST} points of the object", len(cloud))
+    vertices = artefact.mesh.vertices
+    long, wide = (float(np.linalg.norm(np.ptp(x, axis=0))) for x in (vertices, cloud.points))
+    if artefact.kind != "plane" and not 1.0 / _UNLIKE < long / wide < _UNLIKE:
+        warn_user(
+            f"place {artefact.name}",
+            f"it is {length(long)} long, the points reach over {length(wide)}: another unit?",
+        )
     if start is not None:
         starts = [start]
     elif artefact.kind == "plane":

@@ -8,6 +8,7 @@ scene runs on it.
 
 from __future__ import annotations
 
+import re
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -22,7 +23,7 @@ from slbench.capture.capture import Capture
 from slbench.cloud.decoded import decode_capture
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import InputError, InputWarning, located, warn_user
-from slbench.core.io import OutputFolder, write_json
+from slbench.core.io import OutputFolder, write_exr, write_json
 from slbench.core.show.display import block
 from slbench.core.show.drawing import figure
 from slbench.objects import Artefact
@@ -57,7 +58,10 @@ Frames = NDArray[np.float32]
 
 TWIN_FOLDER = OutputFolder(
     "twin",
-    ("twin.toml", "twin.json", "twin.png", "rig.yaml", *(f"*{one}" for one in SUFFIXES)),
+    (
+        *("twin.toml", "twin.json", "twin.png", "differences.exr", "rig.yaml"),
+        *(f"*{one}" for one in SUFFIXES),
+    ),
 )
 #: Samples a pixel, by default.
 SAMPLES = 64
@@ -198,7 +202,9 @@ def make_twin(
     content, files = twin_content(name, capture, objects, places, given, bounces, samples)
     with tempfile.TemporaryDirectory() as folder:
         write_scene(Path(folder), content, capture, files)
-        with located(f"twin of {hardware}" if hardware else "twin"):
+        with warnings.catch_warnings(), located(f"twin of {hardware}" if hardware else "twin"):
+            # Of the rig it was said when it was read.
+            warnings.filterwarnings("ignore", re.escape(folder), InputWarning)
             base = load_scene(Path(folder) / "twin.toml")
         report("trace", 0.0)
         fit = Fit(base, every, out, decoded.phase.mask, seed)
@@ -323,18 +329,17 @@ def _compared(
     )
     assert decoded.cloud is not None  # there is a rig
     distances = [_distance(one, fit.truth, fit.where) for one in (cloud, decoded.cloud)]
-    sensitivity = float(np.median(np.linalg.norm(cloud.sensitivity, axis=-1).min(axis=-1)))
+    frames, chi_square_map = frame_likeness(
+        *(capture, expected, halved, detector, scene.exposure.vibration_px),
+        *(fit.where, fit.out),
+    )
     likeness = Likeness(
-        frames=frame_likeness(
-            *(capture, expected, halved, detector, scene.exposure.vibration_px),
-            *(fit.where, fit.out),
-        ),
+        frames=frames,
         contrasts=contrast_likeness(capture, expected, fit.where, fit.out),
         noise=noise_likeness(capture, simulated, fit.where, fit.out),
-        points=PointLikeness(
-            photographed_mm=distances[0], simulated_mm=distances[1], mm_per_px=sensitivity
-        ),
+        points=PointLikeness(photographed_mm=distances[0], simulated_mm=distances[1]),
         white_dn=float(np.quantile(expected[:, fit.where].max(axis=0), 0.9)) - detector.black_dn,
+        chi_square_map=chi_square_map,
     )
     return Twin(
         content=content,
@@ -362,7 +367,10 @@ def write_twin(
     folder: str | Path,
     files: Mapping[str, Callable[[Twin, Path], None]] | None = None,
 ) -> None:
-    """Write a twin: ``twin.toml`` and what it names, and ``twin.json``.
+    """Write a twin: ``twin.toml`` and what it names, ``twin.json``, and ``differences.exr``.
+
+    The last has pixel by pixel ``chi_square`` of the held-out frames, and the distances from the
+    object of ``photographed_mm`` and ``simulated_mm`` points.
 
     Parameters
     ----------
@@ -379,5 +387,13 @@ def write_twin(
     with TWIN_FOLDER.writing(folder, {"scene": twin.scene.name}, None) as temporary:
         write_scene(temporary, twin.content, twin.capture, twin.files)
         write_json(temporary / "twin.json", twin.to_dict())
+        points = twin.likeness.points
+        maps = {
+            "chi_square": twin.likeness.chi_square_map,
+            "photographed_mm": points.photographed_mm,
+            "simulated_mm": points.simulated_mm,
+        }
+        single = {name: values.astype(np.float32) for name, values in maps.items()}
+        write_exr(temporary / "differences.exr", single)
         for name, write in (files or {}).items():
             write(twin, temporary / name)

@@ -26,7 +26,7 @@ def test_a_twin_is_made_scanned_and_compared(laboratory, tmp_path) -> None:
     assert made["noise"]["ratio"] == pytest.approx(1.0, abs=0.05)
     assert made["objects"][0]["not_told_by_faces"] == ["2 shifts", "1 turn"]
     assert {path.name for path in out.iterdir()} == {
-        *("twin.toml", "twin.json", "twin.png", "rig.yaml", "provenance.json")
+        *("twin.toml", "twin.json", "twin.png", "differences.exr", "rig.yaml", "provenance.json")
     }
     scanned = run_cli("scan", str(out / "twin.toml"), "--spp", "4", "--out", str(tmp_path / "scan"))
     assert scanned.status == 0, scanned.err

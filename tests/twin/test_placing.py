@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 from slbench.cloud.triangulation import PointCloud
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
 from slbench.objects import load_artefact
 from slbench.rig import Pose
 from slbench.scene import load_scene
@@ -93,6 +93,11 @@ def test_few_points_and_objects_elsewhere_are_refused() -> None:
     cloud = measured(scene, artefact, Pose())
     with pytest.raises(InputError, match="at least 50 points"):
         place(artefact, cloud.chosen(slice(0, 20)), scene.rig)
+    ball = load_artefact("sphere")
+    vast = replace(ball, mesh=replace(ball.mesh, vertices=1000.0 * ball.mesh.vertices))
+    below = Pose(np.eye(3), np.array([0.0, 0.0, -1000.0 * ball.mesh.bounds[1, 2]]))
+    with pytest.warns(InputWarning, match="long, the points reach over .*: another unit"):
+        place(vast, cloud, scene.rig, below)
     far = Pose(np.eye(3), np.array([0.0, 0.0, 5000.0]))
     with pytest.raises(InputError, match="rays that meet no part of it"):
         place(load_artefact("sphere"), replace(cloud), scene.rig, far)

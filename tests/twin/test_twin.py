@@ -8,6 +8,7 @@ import pytest
 from slbench.calibration.characterise.hardware import write_hardware
 from slbench.calibration.characterise.measure import characterise
 from slbench.core.errors import InputError, InputWarning
+from slbench.core.io import read_exr
 from slbench.rig import Pose
 from slbench.scene import load_scene
 from slbench.scene.file import load_scene as load
@@ -81,6 +82,12 @@ def test_the_twin_finds_what_it_was_not_told(known) -> None:
 def test_a_written_twin_is_a_scene_that_scans_alike(known, tmp_path) -> None:
     _, _, twin = known
     write_twin(twin, tmp_path / "twin")
+    maps = read_exr(tmp_path / "twin" / "differences.exr")
+    assert np.nanmean(maps["chi_square"]) == pytest.approx(twin.likeness.chi_square, rel=1e-5)
+    seen = np.isfinite(maps["photographed_mm"])
+    assert np.nanstd(maps["photographed_mm"][seen]) == pytest.approx(
+        np.nanstd(maps["simulated_mm"][seen]), rel=0.05
+    )
     again = load(tmp_path / "twin" / "twin.toml")
     made = scan(again, seed=3, score=False)
     lit = twin.simulated.frames[0] > 100
@@ -124,6 +131,16 @@ def test_noise_of_another_camera_does_not_fit(known, tmp_path) -> None:
     # Shot noise in digital numbers goes as the root of 1 / 0.7, read noise as 1 / 0.7.
     assert 1.195 < twin.likeness.noise.ratio < 1.43
     assert any("the twin's noise is 1." in one for one in twin.likeness.misfits())
+
+
+def test_a_rig_that_is_off_by_three_millimetres_does_not_fit(known) -> None:
+    capture, path, _ = known
+    projector = capture.rig.projector
+    place = replace(projector.pose, position=projector.pose.position + np.array([3.0, 0.0, 0.0]))
+    rig = capture.rig.having(projector=projector.posed(place))
+    twin = make_twin(replace(capture, rig=rig), [TwinObject(shape="plane")], hardware=path)
+    # Noise hides it pixel by pixel, as a plane stays one to some micrometres; means do not.
+    assert any("points are off" in one for one in twin.likeness.misfits())
 
 
 def test_another_shape_does_not_fit(known) -> None:

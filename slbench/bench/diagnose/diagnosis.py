@@ -192,7 +192,7 @@ class Diagnosis:
                 rows.append(("sum", 1e3 * math.sqrt(max(total, 0.0)), whole, None, None, ""))
             low, high = self.share_ci95(cause)
             known = not math.isnan(low)
-            interval = f"{100 * low:.2g} to {100 * high:.2g}" if known else None
+            interval = f"{_percent(low)} to {_percent(high)}" if known else None
             size, share = 1e3 * cause.rms_mm, 100.0 * max(self.share(cause), 0.0)
             words = ["named"] * cause.named + ([] if cause.told else ["not told"])
             words += [cause.note] if cause.note else []
@@ -202,6 +202,10 @@ class Diagnosis:
             f"{self.points} points, {length(self.rms_mm)} RMS from the {kind_of(self.shape)}, "
             f"{length(math.sqrt(self.near_mm2))} without points that are far off"
         )
+        if any(one.mean_square_mm2 < 0.0 for one in near):
+            note += (
+                "; estimates below zero, which have no bias, are shown as 0 and count in the sum"
+            )
         columns = ("cause", "RMS / µm", "share / %", "95 %", "p", "")
         return Table(f"Errors of {self.source}", columns, tuple(rows), note)
 
@@ -238,6 +242,11 @@ class Diagnosis:
             ],
             "notes": list(self.notes),
         }
+
+
+def _percent(share: float) -> str:
+    """Return a share in per cent, of two digits."""
+    return f"{100.0 * share:.0f}" if share >= 0.1 else f"{100.0 * share:.2g}"
 
 
 def _probability(p: float) -> Cell:

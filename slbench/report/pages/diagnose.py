@@ -18,8 +18,8 @@ def diagnosis_page(result: Diagnosis) -> Page:
     -------
     Page
     """
-    parts: list[Part] = [Text("Finding", sentence) for sentence in result.sentences()]
-    parts.append(result.table())
+    findings = " ".join(f"{sentence.rstrip('.')}." for sentence in result.sentences())
+    parts: list[Part] = [Text("Findings", findings), result.table()]
     caption = "Distances from the shape, what the named causes make of them, the rest, and shares."
     parts.append(Picture.drawn("Maps", result.plot(), caption))
     return Page(f"Diagnosis of {result.source}", tuple(parts), provenance(result.parameters, None))
