@@ -59,8 +59,8 @@ from slbench.patterns import (
 from slbench.patterns.crosstalk import amplified, unmixed
 from slbench.rig import ALONE, Camera, Pair, Rig
 from slbench.rig.opencv import read_rig, write_rig
+from slbench.rig.optics.response import RESPONSE_FILE
 from slbench.rig.parameters import ParameterCovariance, covariance_beside
-from slbench.rig.response import RESPONSE_FILE
 
 MANIFEST = "capture.toml"
 #: What a capture has at the top of its folder: modules may have added its codes.

@@ -22,7 +22,7 @@ from slbench.patterns.phase import (
 )
 from slbench.patterns.registry import pattern_codes
 from slbench.patterns.sequence import Frame, PatternSequence
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 
 __all__ = [
     "MIN_MODULATION_DN",

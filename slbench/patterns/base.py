@@ -73,7 +73,7 @@ from slbench.core.show.display import brief
 from slbench.core.validation.types import Axis
 from slbench.core.validation.values import Value, validated
 from slbench.patterns.noise import NoiseModel
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 
 FloatArray = NDArray[np.float64]
 #: Of what no digit beyond single precision is of use: in half the memory.

@@ -24,7 +24,7 @@ from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observ
 from slbench.patterns.crosstalk import amplified, carried_sigma, unmixed
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 
 #: Least modulation of a measured pixel, DN, unless said otherwise.
 MIN_MODULATION_DN = 3.0

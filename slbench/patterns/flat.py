@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.validation.types import Share
 from slbench.patterns.base import Axis, Code, FloatArray, Panel
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 
 _WORDS = {"white": 1.0, "black": 0.0}
 #: Levels of a ramp.

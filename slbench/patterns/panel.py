@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.core.validation.types import PanelBits, Positive
 from slbench.core.validation.values import checked
-from slbench.rig.response import Response, ResponseCurve
+from slbench.rig.optics.response import Response, ResponseCurve
 
 
 @checked
@@ -30,7 +30,7 @@ def panel_response(
     gamma : float
         Exponent > 0.
     curve : tuple of (value, radiance), optional
-        Measured, in the place of gamma (:class:`~slbench.rig.response.Response`).
+        Measured, in the place of gamma (:class:`~slbench.rig.optics.response.Response`).
 
     Returns
     -------

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 
 Array = NDArray[np.float64]
 

@@ -44,7 +44,7 @@ from slbench.core.validation.types import (
 )
 from slbench.core.validation.values import Value, checked
 from slbench.rig.coefficients import COEFFICIENTS, fewest
-from slbench.rig.distortion import (
+from slbench.rig.optics.distortion import (
     apply_homography,
     distort,
     fold_radius,
@@ -52,11 +52,11 @@ from slbench.rig.distortion import (
     tilt_rotation,
     undistort,
 )
-from slbench.rig.lens import Lens
+from slbench.rig.optics.lens import Lens
+from slbench.rig.optics.response import Response, ResponseCurve
+from slbench.rig.optics.shading import least_shading, shading
+from slbench.rig.optics.spread import Spread
 from slbench.rig.pose import Pose, box_corners, product
-from slbench.rig.response import Response, ResponseCurve
-from slbench.rig.shading import least_shading, shading
-from slbench.rig.spread import Spread
 
 if TYPE_CHECKING:
     from slbench.rig.kernels import Optics
@@ -79,7 +79,8 @@ class Device(Value):
         Pixel where the optical axis meets the panel; None is the panel's centre.
     distortion : (4,), (5,), (8,) or (12,) float
         OpenCV's ``k1, k2, p1, p2``, ``k3``, ``k4, k5, k6``, ``s1, s2, s3, s4``
-        (:mod:`~slbench.rig.coefficients`); kept as 5, 8 or 12 numbers, the fewest that hold it.
+        (:mod:`~slbench.rig.coefficients`); kept as 5, 8 or 12 numbers, the fewest that hold
+        it.
     tilt_rad : (float, float)
         OpenCV's ``tauX, tauY``.
     blur_px : float
@@ -332,7 +333,7 @@ class Device(Value):
         ----------
         circle_px : float
             Acceptable circle of confusion in pixels, of a lens without diffraction and blur; see
-            :meth:`slbench.rig.spread.Spread.circle`.
+            :meth:`slbench.rig.optics.spread.Spread.circle`.
 
         Returns
         -------
@@ -398,7 +399,7 @@ class Camera(Device):
         Photosensitive share of a pixel's area, in (0, 1].
     shading : (m,) float
         Brightness over the picture beyond the lens's natural fall-off: coefficients of a polynomial
-        of a degree up to 4, so 0, 2, 5, 9 or 14 of them (:mod:`slbench.rig.shading`).
+        of a degree up to 4, so 0, 2, 5, 9 or 14 of them (:mod:`slbench.rig.optics.shading`).
 
     Raises
     ------
@@ -475,7 +476,7 @@ class Projector(Device):
     gamma : float
         Radiance is ``value ** gamma``; 1 is linear, as a DMD is.
     curve : tuple of (value, radiance), optional
-        Measured, in the place of gamma (:class:`~slbench.rig.response.Response`).
+        Measured, in the place of gamma (:class:`~slbench.rig.optics.response.Response`).
     """
 
     flux_w: Measure = 1.0

@@ -13,7 +13,7 @@ import numpy as np
 from slbench.core.show.display import length
 from slbench.rig.axes import closest_axes
 from slbench.rig.device import Camera, Device
-from slbench.rig.distortion import fold_radius
+from slbench.rig.optics.distortion import fold_radius
 from slbench.rig.rig import Rig
 
 #: Pitches of sensors and panels, µm, with room: from phones' cameras to thermal ones and LED walls

@@ -39,11 +39,11 @@ from slbench.rig.coefficients import COEFFICIENTS
 from slbench.rig.device import Camera, Projector
 from slbench.rig.doubts import rig_doubts
 from slbench.rig.files.entries import Entries, Stated, rig_entries
-from slbench.rig.lens import Lens
+from slbench.rig.optics.lens import Lens
+from slbench.rig.optics.shading import COUNTS
 from slbench.rig.parameters import ParameterCovariance
 from slbench.rig.pose import Pose, checked_rotation
 from slbench.rig.rig import ALONE, LEAST_DEPTH_MM, VOLUME_MM, Pair, Rig
-from slbench.rig.shading import COUNTS
 
 #: Pitch taken for a calibration that states none.  Only irradiance and lengths on the panel
 #: depend on it; rays do not.

@@ -28,7 +28,7 @@ from slbench.core.show.drawing import figure
 from slbench.core.validation.types import Coordinate, Measure
 from slbench.core.validation.values import Value
 from slbench.rig.device import Camera, Device, Projector
-from slbench.rig.lens import Lens
+from slbench.rig.optics.lens import Lens
 from slbench.rig.pose import Pose, box_corners
 
 Array = NDArray[np.float64]

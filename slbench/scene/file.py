@@ -40,7 +40,7 @@ from slbench.patterns.given import PatternsTable
 from slbench.rig import VOLUME_MM, Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.files.entries import rig_entries
 from slbench.rig.opencv import rig_of
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
 from slbench.scene.calibration import Calibration, read_calibration
 from slbench.scene.changes import (

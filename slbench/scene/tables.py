@@ -31,7 +31,7 @@ from slbench.core.validation.types import (
 )
 from slbench.patterns.given import PatternsTable
 from slbench.rig import Pose, Rig
-from slbench.rig.response import ResponseCurve
+from slbench.rig.optics.response import ResponseCurve
 from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
 
 

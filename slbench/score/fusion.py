@@ -7,8 +7,9 @@ fused frames and for the single middle setting, inside and outside that setting'
 field.  A pixel is inside where defocus leaves the finest fringes ``KEPT`` of the modulation that
 they have in focus, 82 %: for a lens without diffraction and blur, where 2 J1(x) / x is that for a
 circle of confusion of 0.4 periods.  Diffraction forgives more of it
-(:mod:`slbench.rig.spread`), and fringes beyond a lens's cut-off are nowhere inside.  The shares of
-a circle in that limit add up in quadrature for camera and projector, as losses that are small do.
+(:mod:`slbench.rig.optics.spread`), and fringes beyond a lens's cut-off are nowhere inside.  The
+shares of a circle in that limit add up in quadrature for camera and projector, as losses that are
+small do.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from slbench.capture.stack import FocusStack, FusedCapture
 from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.patterns import Axis
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 from slbench.scene.truth import GroundTruth
 
 Array = NDArray[np.float64]

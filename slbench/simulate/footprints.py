@@ -1,10 +1,10 @@
 r"""Footprints of light samples on a panel, kept as places on *blurred panels*.
 
 A sample of light does not come from a point of the panel but from a footprint, the line spread at
-its place and depth (:mod:`slbench.rig.spread`).  Where optics are out of focus, or diffraction is
-strong, a footprint covers hundreds of panel columns.  It is the same for all samples of one
-defocus but for where it lies, so it is the *panel* that is blurred, once a level of defocus, and a
-sample looks it up at its place:
+its place and depth (:mod:`slbench.rig.optics.spread`).  Where optics are out of focus, or
+diffraction is strong, a footprint covers hundreds of panel columns.  It is the same for all samples
+of one defocus but for where it lies, so it is the *panel* that is blurred, once a level of defocus,
+and a sample looks it up at its place:
 
     T = S B .
 
@@ -32,7 +32,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from slbench.core.threads import in_bands
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 
 if TYPE_CHECKING:
     import scipy.sparse
@@ -230,7 +230,7 @@ def _to_spline(values):  # type: ignore[no-untyped-def]
 def light(line, place):  # type: ignore[no-untyped-def]
     """Return the light between the middle of a line spread and a place, signed.
 
-    `line` is a row of :meth:`~slbench.rig.spread.Spread.lines`, whose end is at a place of 1.
+    `line` is a row of :meth:`~slbench.rig.optics.spread.Spread.lines`, whose end is at 1.
     """
     at = abs(place) * (line.size - 1)
     if at >= line.size - 1:

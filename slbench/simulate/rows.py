@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from slbench.core.threads import in_bands
-from slbench.rig.spread import RING_SOFTENING, Spread
+from slbench.rig.optics.spread import RING_SOFTENING, Spread
 from slbench.simulate.footprints import SHARP, STEP, BlurredPanel, Levels, light
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
 from slbench.core.show.display import block
 from slbench.core.threads import in_bands
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 from slbench.simulate.footprints import BlurredPanel, Levels
 from slbench.simulate.rows import SparseRows, row_starts
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError, warn_user
 from slbench.detector.emva1288 import Detector
-from slbench.rig.shading import shading
+from slbench.rig.optics.shading import shading
 from slbench.scene.devices.detector import SheetKeys
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth

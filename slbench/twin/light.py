@@ -1,7 +1,7 @@
 """What no data sheet says of a picture's brightness and sharpness, fitted to frames of a capture.
 
 With R_k the traced radiance of frame k, A that of surroundings of unit irradiance, and
-``1 + s(x, y)`` the shading (:mod:`slbench.rig.shading`), a frame is
+``1 + s(x, y)`` the shading (:mod:`slbench.rig.optics.shading`), a frame is
 
     y_k = g (1 + s(x, y)) (R_k + a A) + b
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from slbench.rig.shading import COUNTS, least_shading, monomials
+from slbench.rig.optics.shading import COUNTS, least_shading, monomials
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,7 @@ from stages import trace
 from slbench import objects
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 from slbench.scene.file import load_scene
 from slbench.scene.model import Scene, SceneObject
 from slbench.simulate.footprints import Levels

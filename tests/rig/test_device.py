@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from slbench.core.errors import InputError
 from slbench.rig import Camera, Device, Lens, Pose, Projector
-from slbench.rig.distortion import distort, tilt_matrix, undistort
+from slbench.rig.optics.distortion import distort, tilt_matrix, undistort
 from slbench.rig.pose import product
 
 PLAIN = Camera(640, 480, (0.0074, 0.0074), Lens(16.0, 2.0, 450.0), principal_point=(311.3, 251.9))

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from slbench.rig import Camera, Lens
-from slbench.rig.distortion import distort, fold_radius
 from slbench.rig.doubts import fold_doubt
 from slbench.rig.kernels import projected
+from slbench.rig.optics.distortion import distort, fold_radius
 
 #: A public calibration of a projector: its polynomial turns back well within the panel.
 PUBLIC = (0.060402, -4.931531, 0.023699, -0.009572, 0.0)

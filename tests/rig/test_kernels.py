@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slbench.rig import Lens, Pose, Projector
-from slbench.rig.distortion import distort, undistort
 from slbench.rig.kernels import normalised, projected
+from slbench.rig.optics.distortion import distort, undistort
 
 DISTORTION = (-0.15, 0.08, 0.002, -0.003, 0.01)
 TILT = (0.05, -0.03)

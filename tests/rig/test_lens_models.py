@@ -12,9 +12,9 @@ from scenes_small import small
 from slbench.core.errors import InputError
 from slbench.rig import Camera, Lens, Pose
 from slbench.rig.coefficients import distorted, fewest
-from slbench.rig.distortion import apply_homography, distort, fold_radius, undistort
 from slbench.rig.doubts import rig_doubts
 from slbench.rig.kernels import normalised, projected
+from slbench.rig.optics.distortion import apply_homography, distort, fold_radius, undistort
 from slbench.rig.summary import summary_of
 
 radial = st.floats(-1.0, 1.0)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.special import j0, j1
 
 from slbench.rig import Camera, Lens
-from slbench.rig.spread import RING_SOFTENING, Spread, hopkins
+from slbench.rig.optics.spread import RING_SOFTENING, Spread, hopkins
 
 SPREADS = [
     Spread(),

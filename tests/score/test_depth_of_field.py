@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 from slbench.score.fusion import KEPT, _share, largest_circle
 
 FREQUENCIES = np.array([0.001, 0.004, 0.015, 0.03])

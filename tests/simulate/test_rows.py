@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 from slbench.simulate.footprints import Levels
 from slbench.simulate.rows import LineRows, PointRows, SampleBlock
 

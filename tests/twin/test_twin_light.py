@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slbench.rig.shading import shading
+from slbench.rig.optics.shading import shading
 from slbench.twin.light import fit_blur, fit_light
 
 SIZE = (64, 48)

@@ -11,7 +11,7 @@ import numpy as np
 from slbench.calibration.characterise.measure import Characterisation
 from slbench.core.io import OutputFolder, files_beside, write_json, write_table
 from slbench.core.io.atomic import write_bytes
-from slbench.rig.response import COLUMNS
+from slbench.rig.optics.response import COLUMNS
 
 #: Significant figures of a number, and of one of many: a curve grows at every step.
 _FIGURES, _FIGURES_OF_ARRAYS = 5, 7

@@ -30,7 +30,7 @@ from slbench.calibration.characterise.quantity import (
 )
 from slbench.capture.capture import Capture
 from slbench.patterns import Fringes
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 
 Array = NDArray[np.float64]
 

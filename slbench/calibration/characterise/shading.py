@@ -3,7 +3,7 @@
 The camera's own shading is what it makes of a surface that is equally bright everywhere: the
 opening of an integrating sphere, or a diffuser before the lens.  What a projector lights is no such
 surface: its picture shows the product of the projector's light, the surface and the camera.  Both
-are polynomials of degree four (:mod:`slbench.rig.shading`), fitted by least squares.
+are polynomials of degree four (:mod:`slbench.rig.optics.shading`), fitted by least squares.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from slbench.calibration.characterise.quantity import (
     jackknife,
 )
 from slbench.capture.capture import Capture
-from slbench.rig.shading import COUNTS, monomials, shading
+from slbench.rig.optics.shading import COUNTS, monomials, shading
 
 Array = NDArray[np.float64]
 

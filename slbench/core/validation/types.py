@@ -236,7 +236,7 @@ Pair = tuple[Coordinate, Coordinate]
 Coefficient = Annotated[float, FINITE, Interval(ge=-1e9, le=1e9)]
 #: OpenCV's k1, k2, p1, p2, (k3, (k4, k5, k6, (s1, s2, s3, s4))).
 Distortion = Annotated[tuple[Coefficient, ...], Lengths((4, 5, 8, 12))]
-#: Of a polynomial in x and y without its constant (:mod:`slbench.rig.shading`).
+#: Of a polynomial in x and y without its constant (:mod:`slbench.rig.optics.shading`).
 Shading = Annotated[
     tuple[Annotated[float, FINITE, Interval(ge=-1e3, le=1e3)], ...], Lengths((0, 2, 5, 9, 14))
 ]

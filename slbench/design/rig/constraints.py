@@ -36,7 +36,7 @@ from slbench.core.show.display import brief
 from slbench.design.rig.hardware import VARIABLES, Hardware, Placement
 from slbench.design.rig.kernels import margins as kernel
 from slbench.rig import DesignVariables, Device
-from slbench.rig.distortion import tilt_rotation
+from slbench.rig.optics.distortion import tilt_rotation
 
 Array = NDArray[np.float64]
 

@@ -37,7 +37,7 @@ from slbench.core.validation.types import (
 from slbench.patterns.base import Axis, Code, FloatArray, Found, Observed, Panel, Run, extent
 from slbench.patterns.phase import relative_phase
 from slbench.patterns.response import straightened
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 
 MIN_SHIFTS = 3
 #: Three pixels a fringe are the least that carry amplitude, phase and mean.

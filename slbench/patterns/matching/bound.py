@@ -20,8 +20,8 @@ from slbench.patterns.crosstalk import mixed
 from slbench.patterns.matching.vectors import EDGE, CodeVectors, Nuisance, blurred
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
-from slbench.rig.response import Response
-from slbench.rig.spread import Spread
+from slbench.rig.optics.response import Response
+from slbench.rig.optics.spread import Spread
 
 
 def sequence_vectors(

@@ -23,7 +23,7 @@ from slbench.patterns.base import (
     extent,
 )
 from slbench.patterns.matching.vectors import CodeVectors, Nuisance
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 
 #: Share of the places that may show what another part of the panel shows, and what is another part.
 _MOST_REPEATED, _NEARBY = 0.95, 0.02

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.patterns.base import FloatArray
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 
 #: What has a gain or an offset of its own.
 Scope = Literal["common", "part"]

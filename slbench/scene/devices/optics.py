@@ -30,7 +30,7 @@ from slbench.core.validation.types import (
     TiltDegrees,
 )
 from slbench.rig import Lens
-from slbench.rig.response import ResponseCurve
+from slbench.rig.optics.response import ResponseCurve
 from slbench.scene.devices import datasheet
 from slbench.scene.devices.datasheet import Micromirrors
 

@@ -29,7 +29,7 @@ from slbench.core.random import derived_seed
 from slbench.core.validation.types import Samples, Seed
 from slbench.core.validation.values import checked
 from slbench.rig import Projector, Rig
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 from slbench.scene.model import Light, SceneObject
 from slbench.simulate.footprints import Levels
 from slbench.simulate.render.mitsuba import dr, mi

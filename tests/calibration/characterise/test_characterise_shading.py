@@ -10,7 +10,7 @@ from scenes_small import run_cli
 from slbench.calibration.characterise.measure import characterise
 from slbench.core.errors import InputError
 from slbench.detector import Detector
-from slbench.rig.shading import shading
+from slbench.rig.optics.shading import shading
 from slbench.scene.file import load_scene
 
 DETECTORS = {"8 bit": Detector(8), "12 bit": Detector(12, 20_000.0, 10.0)}

@@ -27,7 +27,7 @@ from slbench.patterns.given import PatternsTable
 from slbench.patterns.images import Images
 from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
-from slbench.rig.response import Response
+from slbench.rig.optics.response import Response
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 from slbench.scene.new.devices import Lenses
 from slbench.scene.new.place import Place

@@ -10,7 +10,7 @@ from slbench.patterns.codes.modulated import ModulatedPhaseShifting
 from slbench.patterns.codes.trapezoidal import Trapezoidal
 from slbench.patterns.codes.two_plus_one import TwoPlusOne
 from slbench.patterns.matching.vectors import blurred
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 from slbench.simulate.scan import scan
 
 WIDTH = 1024

@@ -8,7 +8,7 @@ from slbench.patterns import NoiseModel, PatternSequence, decode
 from slbench.patterns.matching.bound import cramer_rao, sequence_vectors
 from slbench.patterns.matching.match import match
 from slbench.patterns.matching.vectors import Nuisance
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 
 PANEL = (1024, 600)
 NOISE = NoiseModel(read_dn=1.0, step_dn=0.0)

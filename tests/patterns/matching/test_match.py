@@ -11,7 +11,7 @@ from slbench.patterns import Flat, NoiseModel, PatternSequence, decode
 from slbench.patterns.matching import MatchedCode
 from slbench.patterns.matching.match import match
 from slbench.patterns.matching.vectors import CodeVectors, Nuisance, blurred
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 
 WIDTH = 1024
 PANEL = (WIDTH, 600)

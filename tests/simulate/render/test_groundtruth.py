@@ -16,8 +16,8 @@ from slbench.core.io import read_exr, write_exr
 from slbench.objects import Artefact, Mesh
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
-from slbench.rig.distortion import fold_radius
 from slbench.rig.opencv import write_rig
+from slbench.rig.optics.distortion import fold_radius
 from slbench.scene.model import Scene, SceneObject
 from slbench.scene.truth import GroundTruth, Status
 

@@ -17,7 +17,7 @@ from slbench.design.rig.hardware import Hardware, Placement
 from slbench.design.rig.kernels import loops
 from slbench.design.rig.kernels.rows import EDGES
 from slbench.rig import Device, Pose
-from slbench.rig.distortion import fold_radius
+from slbench.rig.optics.distortion import fold_radius
 
 Array = NDArray[np.float64]
 

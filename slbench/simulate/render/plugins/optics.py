@@ -25,8 +25,8 @@ import numpy as np
 
 from slbench.rig import Device, Lens
 from slbench.rig.coefficients import COEFFICIENTS, distorted
-from slbench.rig.distortion import distort, fold_radius
-from slbench.rig.spread import RING_SOFTENING
+from slbench.rig.optics.distortion import distort, fold_radius
+from slbench.rig.optics.spread import RING_SOFTENING
 from slbench.simulate.render.mitsuba import dr, mi
 
 #: Newton steps of the undistortion, which is quadratic: few do for ordinary lenses, those that bend
@@ -102,7 +102,7 @@ class PanelOptics:
         return xy
 
     def _undistorted(self, target: mi.Point2f) -> mi.Point2f:
-        """Invert distortion as :func:`slbench.rig.kernels.undistorted` does, without branches."""
+        """Invert distortion as `slbench.rig.kernels.undistorted` does, without branches."""
         xy = mi.Point2f(target)
         best, least = mi.Point2f(0.0), dr.maximum(dr.abs(target.x), dr.abs(target.y))
         for _ in range(self.steps):
@@ -175,7 +175,7 @@ class PanelOptics:
 
         A ray through a place of the unit disc carries the share of the light within it.  With
         defocus alone it ends at that place of the circle of confusion; with diffraction and blur
-        where the spread holds that share (:meth:`slbench.rig.spread.Spread.rings`).  The
+        where the spread holds that share (:meth:`slbench.rig.optics.spread.Spread.rings`).  The
         difference, so that ends have the spread's density whatever the depth.
 
         Parameters

@@ -8,7 +8,7 @@ from slbench.core.errors import InputError
 from slbench.patterns import NoiseModel, PatternSequence, decode
 from slbench.patterns.codes.spatial.de_bruijn import DeBruijn, sequence
 from slbench.patterns.matching.vectors import blurred
-from slbench.rig.spread import Spread
+from slbench.rig.optics.spread import Spread
 from slbench.simulate.scan import scan
 
 PANEL = (512, 64)

@@ -1,0 +1,1 @@
+"""Lenses and panels: distortion, blur, shading, and what a panel emits."""
