@@ -150,7 +150,11 @@ def _black(detector: Detector, capture: Capture) -> Detector:
     ]
     if not dark:
         return detector
-    least = float(np.quantile(averaged(np.mean(dark, axis=0), np.ones(dark[0].shape, bool)), 0.01))
+    mean = np.mean(dark, axis=0)
+    seen = np.isfinite(mean)
+    if not seen.any():
+        return detector
+    least = float(np.quantile(averaged(mean, seen)[seen], 0.01))
     return _lifted(detector, min(least - detector.black_dn, 0.0))
 
 

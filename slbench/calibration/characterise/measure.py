@@ -8,7 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from slbench.calibration.characterise import drift, motion, noise, response, shading, spread
+from slbench.calibration.characterise import (
+    drift,
+    fixed_pattern,
+    motion,
+    noise,
+    response,
+    shading,
+    spread,
+)
 from slbench.calibration.characterise.frames import Shot, check_alike, flats, shots
 from slbench.calibration.characterise.quantity import Quantity, Untold
 from slbench.capture.capture import Capture
@@ -198,7 +206,7 @@ def characterise(
     level = {shot.level: shot for exposures in flats(found).values() for shot in exposures.values()}
     own = [samples[k] for k, shot in enumerate(found) if k in samples and shot in level.values()]
     if curve is not None and black is not None:
-        whole.take(*noise.between_pixels(own, black[0], curve.slope_dn, step))
+        whole.take(*fixed_pattern.between_pixels(own, black[0], curve.slope_dn, step))
     quantities, lost, light = response.response(found, captures, top)
     whole.take(quantities, lost)
     blur = spread.camera_blur(found, edge, top)

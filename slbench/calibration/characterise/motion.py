@@ -71,17 +71,24 @@ def moves_of(stack: NDArray[np.float32], top: float) -> tuple[Moves, NDArray[np.
     top : float
         Of the range, DN.
     """
-    from scipy.ndimage import binary_dilation, gaussian_filter
+    from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter
 
     count = len(stack)
-    mean = stack.mean(axis=0)
     good = unsaturated(list(stack), top)
+    lost = ~np.isfinite(stack).all(axis=0)
+    if lost.any() and not lost.all():
+        # Filters would spread what is no number; the nearest pixel's makes no edge.
+        nearest = distance_transform_edt(lost, return_distances=False, return_indices=True)
+        stack = stack[:, nearest[0], nearest[1]]
+    mean = stack.mean(axis=0)
     kept = ~binary_dilation(~good, iterations=_BORDER)
+    if lost.any():
+        kept &= ~binary_dilation(lost, iterations=2 * _BORDER)
     kept[:_BORDER] = kept[-_BORDER:] = False
     kept[:, :_BORDER] = kept[:, -_BORDER:] = False
     none = Moves(np.zeros((count, 2)), np.full(2, np.inf), np.zeros(count), np.inf)
     if np.count_nonzero(kept) < _LEAST:
-        return none, stack
+        return none, np.where(lost, np.float32(np.nan), stack)
     first = _slope(mean, 1), _slope(mean, 0)
     second = np.stack([_slope(first[0], 1), _slope(first[0], 0), _slope(first[1], 0)])
     pictures = np.stack([*first, mean, np.ones_like(mean)])
@@ -116,7 +123,8 @@ def moves_of(stack: NDArray[np.float32], top: float) -> tuple[Moves, NDArray[np.
     spread = sigma**2 * variance.max(axis=0) * (1.0 - 1.0 / count)
     # A brighter repeat's slopes are steeper.
     shift = -told[:, :2] / (1.0 + told[:, 2:3])
-    return Moves(shift, spread[:2], told[:, 2], float(spread[2])), still + mean
+    still = np.where(lost, np.float32(np.nan), still + mean)
+    return Moves(shift, spread[:2], told[:, 2], float(spread[2])), still
 
 
 def _squares(found: Array) -> NDArray[np.float32]:

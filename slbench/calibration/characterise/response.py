@@ -142,7 +142,7 @@ def _ramp(ramp: Mapping[float, Shot], top: float) -> tuple[Array, Array]:
     means = [ramp[level].stack().mean(axis=0) for level in levels]
     good = np.logical_and.reduce([unsaturated(ramp[level].frames, top) for level in levels])
     span = means[-1] - means[0]
-    good &= span > _LIT * np.quantile(span, 0.99)
+    good &= span > _LIT * np.nanquantile(span, 0.99)
     number = blocks(good.shape)[good]
     sums = [np.bincount(number, one[good], BLOCKS**2) for one in means]
     return np.stack(sums, axis=1), np.array(levels)

@@ -115,7 +115,7 @@ def _measured(
         return [], [Untold(name, "the black level is not known", "a black frame, or --black-dn")]
     mean = np.mean([frame.astype(np.float32) for frame in frames], axis=0) - np.float32(black)
     good = unsaturated(frames, top)
-    good &= mean > _LIT * np.quantile(mean, 0.99)
+    good &= mean > _LIT * np.nanquantile(mean, 0.99)
     rows, columns = mean.shape
     number = blocks(mean.shape)
     seen = np.bincount(number.ravel(), good.ravel(), BLOCKS**2) > 0.5 * np.bincount(number.ravel())

@@ -1,5 +1,7 @@
 """Characterisation returns the vibration that was put in."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from characterised import light_of, repeats_of
@@ -111,3 +113,21 @@ def test_intervals_hold_the_vibration():
         found = characterise(moved("8@4", 0.1, count=4, seed=10 * seed))["vibration"]
         missed += not found.low <= 0.1 <= found.high
     assert missed <= 5
+
+
+def test_pixels_without_a_number_change_nothing():
+    captures = {
+        name: replace(one, frames=one.frames.astype(np.float32))
+        for name, one in repeats_of(DETECTOR, "white+0.5+black+8@8", count=4, seed=3).items()
+    }
+    dead = np.random.default_rng(0).random((120, 160)) < 5e-4
+    assert dead.any()
+    spoilt = {
+        name: replace(one, frames=np.where(dead, np.float32(np.nan), one.frames))
+        for name, one in captures.items()
+    }
+    clean, found = (characterise(own, even=own) for own in (captures, spoilt))
+    assert [one.name for one in found.quantities] == [one.name for one in clean.quantities]
+    for one in clean.quantities:
+        # Without a few pixels of many, each stays well within its own interval.
+        assert abs(found[one.name].value - one.value) <= 0.25 * (one.high - one.low), one.name
