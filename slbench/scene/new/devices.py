@@ -125,7 +125,8 @@ def _either(
     if value is None:
         if not stated:
             raise InputError(option, f"a number, as {file.name} has none", "none")
-        return Entry("", None, f"{stated[0]} = {table[stated[0]]}: {file.name}")
+        doubt = ", not confirmed" if f"{role}.{stated[0]}" in file.unconfirmed else ""
+        return Entry("", None, f"{stated[0]} = {table[stated[0]]}: {file.name}{doubt}")
     others = [name for name in stated if name != key]
     if others:
         raise InputError(option, f"none, as {file.name} states {others[0]}", f"{value:g}")

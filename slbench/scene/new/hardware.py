@@ -1,13 +1,14 @@
 """Files of cameras and projectors that scenes extend: the shipped ones, and one's own.
 
 A hardware file has ``[camera]`` (and ``[detector]``) or ``[projector]``, each number with its
-source beside it, and its first line says what it is.  ``slbench characterise`` writes such files,
-too.
+source beside it, and its first line says what it is.  A number whose source was not found again
+has the words "not confirmed" there.  ``slbench characterise`` writes such files, too.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -21,6 +22,8 @@ Role = Literal["camera", "projector"]
 ROLES: tuple[Role, ...] = ("camera", "projector")
 #: Folder of the shipped files.
 FOLDER = "hardware"
+#: A table, or a key with a comment that says that its value is not confirmed.
+_UNCONFIRMED = re.compile(r"^(?:\[(\w+)\]|(\w+) = .*# .*not confirmed.*)$", re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -35,11 +38,14 @@ class HardwareFile:
         Its first line.
     content : mapping
         Its tables.
+    unconfirmed : (str, ...)
+        ``table.key`` of the numbers that it says are not confirmed.
     """
 
     name: str
     title: str
     content: Mapping[str, Any]
+    unconfirmed: tuple[str, ...] = ()
 
     @property
     def kind(self) -> str:
@@ -101,14 +107,26 @@ def _own(name: str, folder: Path, where: str) -> HardwareFile:
         expected = f"a file in the folder of the scene, {folder}, or deeper"
         raise InputError(where, expected, name)
     relative = path.resolve().relative_to(root).as_posix()
-    return HardwareFile(relative, _title(path), read_merged(path))
+    return _of(relative, path)
 
 
 def _read(name: str) -> HardwareFile:
-    path = resources.find("scenes", name)
-    return HardwareFile(name, _title(path), read_merged(path))
+    return _of(name, resources.find("scenes", name))
 
 
-def _title(path: Path) -> str:
-    first = path.read_text(encoding="utf-8-sig").partition("\n")[0]
-    return first.removeprefix("#").strip() if first.startswith("#") else path.stem
+def _of(name: str, path: Path) -> HardwareFile:
+    content = read_merged(path)
+    text = path.read_text(encoding="utf-8-sig")
+    first = text.partition("\n")[0]
+    title = first.removeprefix("#").strip() if first.startswith("#") else path.stem
+    return HardwareFile(name, title, content, tuple(_unconfirmed(text)))
+
+
+def _unconfirmed(text: str) -> Iterator[str]:
+    """Return what a file's comments say is not confirmed."""
+    table = ""
+    for heading, key in _UNCONFIRMED.findall(text):
+        if key:
+            yield f"{table}.{key}"
+        else:
+            table = heading

@@ -121,11 +121,11 @@ def new_scene(
             Entry("material", _MATERIAL, "assumed"),
         ],
     }
-    used = {one.name: one.title for one in (camera, projector)}
+    used = {one.name: one for one in (camera, projector)}
     lines = [
         f"# Written by {made_by}",
         "# What is not here of camera, detector and projector, and the sources of that:",
-        *(f"#   {name}: {title}" for name, title in used.items()),
+        *(line for one in used.values() for line in _sources(one)),
         f"extends = {written(list(used))}",
         f"name = {written(_plain_name(path))}",
     ]
@@ -135,6 +135,14 @@ def new_scene(
         height = float(bounds[1, 2] - bounds[0, 2])
         lines += ["", "[[objects]]", *map(str, _stage(eye_optics, place.focus_mm, height))]
     return "\n".join(lines) + "\n"
+
+
+def _sources(file: HardwareFile) -> list[str]:
+    """Return the lines of a hardware file, with what it says is not confirmed."""
+    lines = [f"#   {file.name}: {file.title}"]
+    if file.unconfirmed:
+        lines.append(f"#   not confirmed in {file.name}: {', '.join(file.unconfirmed)}")
+    return lines
 
 
 def _rig(place: Place, optics: ProjectorOptics) -> list[Entry]:

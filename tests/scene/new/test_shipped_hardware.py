@@ -20,10 +20,14 @@ DEVICES = [name for name, one in FILES.items() if one.kind != "rig"]
 CAMERAS = [name for name, one in FILES.items() if one.kind == "camera"]
 PROJECTORS = [name for name, one in FILES.items() if one.kind == "projector"]
 #: What names a source, or says that there is none.
-SOURCE = re.compile(
-    r"Basler|FLIR|Allied Vision|Raspberry Pi|TI\b|Epson|EMVA|thesis|"
-    "derived|typical|estimated|as above"
+SHEETS = re.compile(
+    r"\b(?:Basler|FLIR|Allied Vision|Raspberry Pi|TI|Epson|EMVA 1288|MATRIX VISION|ViALUX|Visitech"
+    r"|mcSIM|Measured|thesis)\b"
 )
+UNCONFIRMED = "not confirmed: from memory of the sheet"
+NO_SHEET = re.compile(f"derived|typical|as above|{UNCONFIRMED}")
+#: By what the inches of a DMD, which TI rounds to a tenth or to five hundredths, are off at most.
+DMD_INCH = 0.0125
 LINE = re.compile(r"^(\w+) = ([^#]*?)\s*(?:# (.*))?$")
 
 
@@ -60,6 +64,7 @@ def test_every_number_has_its_source(name):
     text = resources.find("scenes", name).read_text(encoding="utf-8")
     assert len(FILES[name].title) > 20
     assert text.isascii()
+    head = text.partition("\n\n")[0]
     numbers = 0
     for line in text.splitlines():
         found = LINE.match(line)
@@ -67,7 +72,11 @@ def test_every_number_has_its_source(name):
             assert not line or line.startswith(("#", "[")), line
             continue
         assert found[3], line
-        assert SOURCE.search(found[3]), line
+        sources = SHEETS.findall(found[3])
+        assert sources or NO_SHEET.search(found[3]), line
+        # The head says which document that is.
+        assert all(f"{one}:" in head or f"{one}, " in head for one in {*sources} - {"thesis"}), line
+        assert "not confirmed" not in line.replace(UNCONFIRMED, ""), line
         numbers += 1
     table = tomllib.loads(text)
     assert numbers == sum(len(one) for one in table.values())
@@ -92,7 +101,7 @@ def test_decibels_are_worked_out(name):
 @pytest.mark.parametrize(
     ("name", "active_mm"),
     [
-        # Active areas by TI's data sheets, within half a column.
+        # Active areas: of the DLP5500 by TI's data sheet, the others are not confirmed.
         ("ti-lightcrafter", (6.5718, 3.699)),
         ("ti-lightcrafter-4500", (9.855, 6.1614)),
         ("ti-dlp2010", (4.6116, 2.592)),
@@ -110,11 +119,49 @@ def test_panels_have_the_size_of_their_data_sheets(tmp_path, name, active_mm):
     np.testing.assert_allclose(size, active_mm, rtol=2e-3)
 
 
+@pytest.mark.parametrize("name", [one for one in PROJECTORS if "/ti-" in one])
+def test_the_diagonals_of_micromirrors_are_those_of_their_names(name):
+    file = FILES[name]
+    table = file.content["projector"]
+    pitch, layout = table.get("micromirror_um"), table.get("micromirrors", "orthogonal")
+    pitches = datasheet.micromirror_pitches_um(pitch or table["pitch_um"], layout)
+    inch = float(np.hypot(*np.multiply(table["resolution_px"], pitches))) / 25.4e3
+    stated = re.search(r": (?:DLP\d+, )?([\d.]+) inch", file.title)
+    assert inch == pytest.approx(float(stated[1]), abs=DMD_INCH)
+    # A micromirror's turn t separates cones of light of f / (2 sin t).
+    text = resources.find("scenes", name).read_text(encoding="utf-8")
+    turn = re.search(r"^f_number = .*?(\d+) degrees.*1 / \(2 sin (\d+)\)", text, re.MULTILINE)
+    assert (turn is None) == ("f_number" not in table)
+    if turn:
+        assert turn[1] == turn[2]
+        expected = 0.5 / np.sin(np.radians(float(turn[1])))
+        assert table["f_number"] == pytest.approx(expected, abs=0.05)
+
+
+def test_what_is_not_confirmed_is_known():
+    doubtful = {name: one.unconfirmed for name, one in FILES.items() if one.unconfirmed}
+    assert doubtful == {
+        "hardware/epson-eh-tw9400": (
+            "projector.panel_inch",
+            "projector.lens_f_number",
+            "projector.lens_shift_percent",
+        ),
+        "hardware/flir-bfs-u3-122s6m": ("detector.bit_depth",),
+        "hardware/ti-dlp2010": ("projector.micromirror_um",),
+        "hardware/ti-dlp3010": ("projector.f_number",),
+        "hardware/ti-dlp9000": ("projector.f_number",),
+        "hardware/ti-lightcrafter": ("projector.micromirror_um", "projector.f_number"),
+        "hardware/ti-lightcrafter-4500": ("projector.micromirror_um", "projector.flux_lm"),
+    }
+
+
 def test_the_diagonals_of_sensors_are_those_of_their_formats():
+    stated = 0
     for name in CAMERAS:
         file = FILES[name]
         found = re.search(r"([\d/.]+) inch", file.title)
         if found:
+            stated += 1
             size, pitch = (
                 file.content["camera"]["resolution_px"],
                 file.content["camera"]["pitch_um"],
@@ -122,6 +169,7 @@ def test_the_diagonals_of_sensors_are_those_of_their_formats():
             diagonal = 1e-3 * pitch * float(np.hypot(*size))
             # Sensors of one format differ by some 3 %; the default is a little less than all of it.
             assert diagonal == pytest.approx(datasheet.format_diagonal_mm(found[1]), rel=0.05), name
+    assert stated == len(CAMERAS) - 1  # the thesis has no format of the Adimec's
 
 
 @pytest.mark.parametrize(
@@ -150,7 +198,10 @@ def test_hardware_is_found_by_its_name_or_its_path(tmp_path):
     mine = tmp_path / "sub" / "mine.toml"
     mine.write_text("[camera]\nresolution_px = [64, 48]\npitch_um = 10.0\n")
     own = find_hardware(str(mine), "camera", tmp_path, "--camera")
-    assert (own.name, own.title) == ("sub/mine.toml", "mine")
+    assert (own.name, own.title, own.unconfirmed) == ("sub/mine.toml", "mine", ())
+    mine.write_text("[camera]\npitch_um = 3.45  # not confirmed: of a dealer\nblur_px = 1.0\n")
+    own = find_hardware(str(mine), "camera", tmp_path, "--camera")
+    assert own.unconfirmed == ("camera.pitch_um",)
 
 
 @pytest.mark.parametrize(
