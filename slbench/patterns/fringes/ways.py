@@ -18,8 +18,9 @@ whatever order they were shown, are resolved in one of these ways:
     fringes, gives a place x = (k + phi_S / 2 pi) / n_S, at which the other phases are off by
     e_s = n_s x - phi_s / 2 pi less its nearest whole number.  With the place refined by all sets
     the sum of squares is E = sum e_s^2 - (sum n_s e_s)^2 / sum n_s^2, and the least one is the
-    most likely for phases of equal noise.  (Zhong and Wang, Applied Optics 40, 2001, with a
-    table in place of the search; Zuo et al., Opt. Lasers Eng. 85, 2016, compare the three.)
+    most likely for phases of equal noise.  (The method of excess fractions; Towers et al., Optics
+    Express 12(6), 2004, solve it by the Chinese remainder theorem in place of the search; Zuo et
+    al., Opt. Lasers Eng. 85, 2016, compare the three.)
 ``spatial``
     From the neighbours in the picture, up to a whole number of fringes.
 ``none``
