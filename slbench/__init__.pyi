@@ -38,6 +38,7 @@ from .capture.capture import read_capture as read_capture
 from .capture.stack import FocusStack as FocusStack
 from .capture.stack import FusedCapture as FusedCapture
 from .capture.stack import read_stack as read_stack
+from .cloud.files.read import read_cloud as read_cloud
 from .cloud.registration.graph import Registration as Registration
 from .cloud.registration.graph import register_views as register_views
 from .cloud.triangulation import PointCloud as PointCloud

@@ -113,6 +113,7 @@ def values(tmp_path_factory):
         sl.compare(scene, sets, repeats=2, transports=[scan.transport], truth=scan.truth),
         sl.error_budget(scene, repeats=2),
         sl.diagnose_cloud(flat_cloud()),
+        sl.cloud.MeasuredCloud(flat_cloud(), scalars={"sigma": np.full(1200, 0.01)}),
         sl.open_dataset(write_dataset(tmp_path_factory.mktemp("small"))),
         sl.simulate.render.current(),
         small_twin(),

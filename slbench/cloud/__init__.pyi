@@ -1,8 +1,12 @@
 """The public names of :mod:`slbench.cloud` and where they are defined."""
 
+from . import files as files
 from . import registration as registration
 from .decoded import Decoded as Decoded
 from .decoded import decode_capture as decode_capture
+from .files.measured import MeasuredCloud as MeasuredCloud
+from .files.read import read_cloud as read_cloud
+from .files.write import write_cloud as write_cloud
 from .registration.graph import Registration as Registration
 from .registration.graph import register_views as register_views
 from .triangulation import PointCloud as PointCloud

@@ -19,6 +19,7 @@ from slbench.capture.doubts import exposure_doubt
 from slbench.capture.manifest import manifest_doubts
 from slbench.capture.noise import NoiseKind, noise_of
 from slbench.cloud.calibrated import with_calibration
+from slbench.cloud.files.write import point_fields
 from slbench.cloud.gaps import RayGap, lost_points, ray_gap, rig_doubts
 from slbench.cloud.triangulation import Meeting, PointCloud, triangulate
 from slbench.core.errors import warn_user
@@ -139,9 +140,7 @@ class Decoded:
         if self.cloud is None:
             return np.empty(0)
         u, v = self.cloud.pixels.T
-        lit = self.capture.sequence.lit_frame
-        image = self.phase.mean if lit is None else self.capture.frames[lit]
-        return np.asarray(image[v, u], dtype=np.float64)
+        return np.asarray(grey_image(self.capture, self.phase)[v, u], dtype=np.float64)
 
     def _residuals(self, name: str) -> list[dict[str, Any]]:
         """Return the quantiles of one kind of evidence, a table for every part that has it.
@@ -177,7 +176,8 @@ class Decoded:
             For ``phase.exr`` (``modulation``, ``mean``, ``mask`` and, by axis, ``panel.u`` and
             ``sigma.u``, px; and, where nothing tells fringes apart, ``relative.u.0``, rad, of every
             set in order of projection), ``cloud.ply`` (if there are points; with
-            ``sigma`` and ``u``, mm, and ``grey``, DN), ``decode.json`` and ``provenance.json``.
+            ``sigma`` and ``u``, mm, normals, and ``grey``, DN), ``decode.json`` and
+            ``provenance.json``.
         parameters : mapping
             For the provenance.
         files : mapping of str to callable, optional
@@ -200,15 +200,20 @@ class Decoded:
         with DECODED_FOLDER.writing(folder, parameters, None) as temporary:
             write_exr(temporary / "phase.exr", single)
             if cloud:
-                fields = {
-                    "sigma": cloud.sigma_total_mm,
-                    "u": cloud.u_total_mm,
-                    "grey": self.grey,
-                }
+                fields = point_fields(cloud, self.grey)
                 write_ply(temporary / "cloud.ply", cloud.points, fields)
             for name, write in (files or {}).items():
                 write(temporary / name)
             write_json(temporary / "decode.json", self.to_dict())
+
+
+def grey_image(capture: Capture, phase: PhaseMap) -> NDArray[Any]:
+    """Return the grey values of what was measured, (V, U), DN.
+
+    They are those of the lit frame, or the mean of the last frames where there is none.
+    """
+    lit = capture.sequence.lit_frame
+    return phase.mean if lit is None else capture.frames[lit]
 
 
 def _quantiles(values: NDArray[Any]) -> dict[str, float | None]:

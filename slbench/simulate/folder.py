@@ -6,7 +6,11 @@ import hashlib
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from slbench.capture.capture import CAPTURE_ENTRIES
+from slbench.cloud.decoded import grey_image
+from slbench.cloud.files.write import point_fields
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import warn_user
 from slbench.core.io import OutputFolder, write_json, write_ply
@@ -97,7 +101,8 @@ def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> lis
         result.truth.save(temporary / "truth.exr")
         result.transport.save(temporary / "transport.npz")
         if len(result.cloud):
-            write_cloud(temporary / "cloud.ply", result.cloud, result.truth)
+            grey = grey_image(result.capture, result.phase)
+            _write_points(temporary / "cloud.ply", result.cloud, result.truth, grey)
         write_json(temporary / "score.json", result.to_dict())
         if picture:
             write_figure(result, temporary / "summary.png")
@@ -125,12 +130,18 @@ def _digest(mesh: Mesh) -> str:
     return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).hexdigest()
 
 
-def write_cloud(path: str | Path, cloud: PointCloud, truth: GroundTruth | None = None) -> None:
+def _write_points(
+    path: str | Path,
+    cloud: PointCloud,
+    truth: GroundTruth | None = None,
+    grey: NDArray[Any] | None = None,
+) -> None:
     """Write a cloud as binary PLY with ``sigma``, ``u`` and, given truth, ``error`` (all mm).
 
-    ``error`` is the signed height error, NaN where truth has no lit point.
+    ``error`` is the signed height error, NaN where truth has no lit point.  Normals go with them,
+    and grey values where an image (V, U) of them is given.
     """
-    fields = {"sigma": cloud.sigma_total_mm, "u": cloud.u_total_mm}
+    fields = point_fields(cloud, grey)
     if truth is not None:
         fields["error"] = point_errors(cloud, truth)[:, 2]
     write_ply(path, cloud.points, fields)

@@ -17,10 +17,10 @@ from slbench.core.show.drawing import figure, write_figure
 from slbench.report.plots import DRAWERS
 from slbench.report.plots.relief import (
     View,
-    image_normals,
     scattered_normals,
     shading,
     surface_image,
+    upward_normals,
 )
 
 
@@ -227,7 +227,7 @@ def test_normals_of_scattered_points_are_the_surfaces():
 def test_normals_of_an_image_are_the_surfaces():
     u, v = np.meshgrid(np.arange(60.0), np.arange(40.0))
     plane = np.stack((0.1 * u, -0.1 * v, 0.02 * u - 0.05 * v), axis=-1)
-    found = image_normals(plane)
+    found = upward_normals(plane)
     normal = np.array((-0.2, -0.5, 1.0)) / np.linalg.norm((-0.2, -0.5, 1.0))
     # In float32, with a side of some 0.4 mm between the ends of a difference.
     np.testing.assert_allclose(

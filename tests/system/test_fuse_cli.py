@@ -52,9 +52,9 @@ def test_grey_photographs(grey, tmp_path):
     best = psnr_db(PLANE.select(stack, PLANE.nearest()), PLANE.sharp())
     assert psnr_db(read_grey(out) / 255, PLANE.sharp()) > best - 3.0
     # shot10 comes after shot9.
-    depth = read_exr(out.with_name(names[1]))["depth"][8:-8, 8:-8]
+    depth = read_exr(out.with_name(names[1]))["Y"][8:-8, 8:-8]
     assert np.sqrt(np.mean((depth - PLANE.depth[8:-8]) ** 2)) < 0.2
-    selectivity = read_exr(out.with_name(names[2]))["selectivity"]
+    selectivity = read_exr(out.with_name(names[2]))["Y"]
     assert np.median(selectivity) == pytest.approx(found["median_selectivity_db"], abs=1e-4)
     assert 0 < found["median_noise_gain"] < 1
 
@@ -105,7 +105,7 @@ def test_options_reach_the_weights(grey, tmp_path):
         ]
     ):
         fused(grey, "--out", tmp_path / f"{k}.png", *options)
-        outputs.append(read_exr(tmp_path / f"{k}-depth.exr")["depth"].tobytes())
+        outputs.append(read_exr(tmp_path / f"{k}-depth.exr")["Y"].tobytes())
     assert len(set(outputs)) == len(outputs)
 
 

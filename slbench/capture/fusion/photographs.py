@@ -225,11 +225,11 @@ class FusedPhotographs:
             else:
                 write_png(temporary / path.name, self.pixels)
             for name, values in self.maps.items():
-                write_exr(temporary / f"{path.stem}-{name}.exr", {name: values})
+                write_exr(temporary / f"{path.stem}-{name}.exr", {"Y": values})
             if scale is not None:
                 heights = self.heights_mm(scale.step_um)
                 values = heights.astype(np.float32)
-                write_exr(temporary / f"{path.stem}-heights.exr", {"height": values})
+                write_exr(temporary / f"{path.stem}-heights.exr", {"Y": values})
                 if scale.pixel_um is not None:
                     self._write_points(temporary / f"{path.stem}-points.ply", heights, scale)
             if picture:

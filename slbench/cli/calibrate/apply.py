@@ -37,6 +37,7 @@ def apply(
     from slbench.calibration.models.height_table import HeightTable, is_height_table
     from slbench.calibration.models.model import CalibrationModel
     from slbench.capture.capture import Capture
+    from slbench.cloud.files.write import point_fields
     from slbench.core.io import check_output_file, write_ply
 
     check_output_file(out, (".ply",))
@@ -63,7 +64,7 @@ def apply(
         warn_user(capture, f"{share}: {why or 'another camera, or a larger object?'}")
     sigma, unsure = measured.cloud.sigma_total_mm, measured.cloud.u_total_mm
     outer = measured.extrapolated.astype(np.float64)
-    fields = {"sigma": sigma, "u": unsure, "extrapolated": outer}
+    fields = point_fields(measured.cloud, phase.mean) | {"extrapolated": outer}
     write_ply(out, measured.cloud.points, fields)
     result = {
         "points": count,

@@ -17,6 +17,11 @@ from slbench.core.io.atomic import atomic_path, describe, existing
 from slbench.core.io.bounds import check_unpacked
 
 _PLY_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_.-]*")
+#: What every program knows a vertex to have; other scalars are named so that CloudCompare keeps
+#: them as scalar fields, whatever they are.
+_PLY_COLOURS = ("red", "green", "blue", "alpha")
+_PLY_STANDARD = ("nx", "ny", "nz", *_PLY_COLOURS)
+_PLY_SCALAR = "scalar_"
 
 
 def write_ply(
@@ -36,7 +41,9 @@ def write_ply(
     vertices : (N, 3) array_like
         Points, mm; finite.
     fields : mapping of str to (N,) array_like
-        Scalars a point, e.g. ``quality``; NaN stands for "not known".
+        Scalars a point, e.g. ``quality``; NaN stands for "not known".  In the file they are
+        called ``scalar_quality``, by which CloudCompare knows a scalar; normals ``nx, ny, nz`` and
+        colours ``red, green, blue, alpha`` (0 to 255, bytes) keep the names that all programs use.
     faces : (M, 3) array_like of int, optional
         Triangles, as indices into `vertices`.
 
@@ -57,8 +64,14 @@ def write_ply(
             raise InputError(f"{path}: fields", "names of one word other than x, y, z", repr(name))
         if column.shape != (len(points),):
             raise InputError(f"{path}: field {name!r}", f"{len(points)} values", describe(column))
-        columns[name] = column
-    table = np.empty(len(points), dtype=[(name, "<f4") for name in columns])
+        if name in _PLY_COLOURS and not ((column >= 0.0) & (column <= 255.0)).all():
+            raise InputError(f"{path}: field {name!r}", "colours from 0 to 255", "others")
+        own = name in _PLY_STANDARD or name.startswith(_PLY_SCALAR)
+        columns[name if own else _PLY_SCALAR + name] = column
+    if len(columns) != 3 + len(fields):
+        raise InputError(f"{path}: fields", "names that differ without scalar_", list(fields))
+    kinds = [(name, "u1" if name in _PLY_COLOURS else "<f4") for name in columns]
+    table = np.empty(len(points), dtype=kinds)
     for name, column in columns.items():
         table[name] = column
     elements = [plyfile.PlyElement.describe(table, "vertex")]
@@ -88,23 +101,45 @@ def read_ply(path: str | Path) -> tuple[NDArray[np.float64], dict[str, NDArray[n
     points : (N, 3) ndarray of float64
         ``x, y, z``.
     fields : dict of str to (N,) ndarray of float64
-        Every other scalar property of the vertices.
+        Every other scalar property of the vertices, ``scalar_sigma`` as ``sigma``.
 
     Raises
     ------
     InputError
         If the file is missing, corrupt, or has no vertices.
     """
+    points, columns = read_vertices(path)
+    fields: dict[str, NDArray[np.float64]] = {}
+    for name, column in columns.items():
+        plain = name.removeprefix(_PLY_SCALAR)
+        taken = plain in columns and plain != name
+        fields[name if taken or not plain else plain] = np.asarray(column, dtype=np.float64)
+    return points, fields
+
+
+def read_vertices(path: str | Path) -> tuple[NDArray[np.float64], dict[str, NDArray[Any]]]:
+    """Read the points of a PLY file and their scalars by the file's own names, in its own types.
+
+    Returns
+    -------
+    points : (N, 3) ndarray of float64
+    columns : dict of str to (N,) ndarray
+
+    Raises
+    ------
+    InputError
+        As :func:`read_ply`.
+    """
     path = existing(path)
     check_ply(path)
     try:
         vertex = plyfile.PlyData.read(str(path))["vertex"].data
         columns = {
-            name: np.array(vertex[name], dtype=np.float64)
+            name: np.array(vertex[name])
             for name in vertex.dtype.names or ()
             if vertex.dtype[name].kind in "iuf"
         }
-        points = np.stack([columns.pop(axis) for axis in "xyz"], axis=1)
+        points = np.stack([columns.pop(axis).astype(np.float64) for axis in "xyz"], axis=1)
     except KeyError as error:
         raise InputError(path, "a PLY file with vertices x, y, z", f"none of {error}") from error
     # Its header is parsed in Python, and damaged ones raise whatever comes.

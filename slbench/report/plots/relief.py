@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.cloud.normals import image_normals
 from slbench.report.plots.layout import (
     TEXT_PT,
     TICK_PT,
@@ -70,37 +71,10 @@ def shading(normals: Array) -> Array:
     )
 
 
-def image_normals(points: Array, window: int = 5) -> Array:
-    """Return unit normals of a surface that is seen pixel by pixel.
-
-    Parameters
-    ----------
-    points : (V, U, 3) float
-        NaN where there is none.
-    window : int
-        Side of the square whose mean is taken first: noise of a point is no slope.
-
-    Returns
-    -------
-    (V, U, 3) float
-        Upward; NaN where a side's neighbours are missing.
-    """
-    there = np.isfinite(points[..., 2])
-    filled = np.where(there[..., np.newaxis], points, 0.0).astype(np.float32)
-    share = cv2.blur(there.astype(np.float32), (window, window))
-    mean = cv2.blur(filled, (window, window)) / np.maximum(share, 1e-6)[..., np.newaxis]
-    mean[share < 0.5] = np.nan
-    reach = window // 2
-    normals = np.full(points.shape, np.nan, dtype=np.float32)
-    along_u = mean[:, 2 * reach :] - mean[:, : -2 * reach]
-    along_v = mean[2 * reach :] - mean[: -2 * reach]
-    cross = np.cross(along_u[reach:-reach], along_v[:, reach:-reach])
-    cross *= np.sign(cross[..., 2:])
-    length = np.linalg.norm(cross, axis=-1, keepdims=True)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        normals[reach:-reach, reach:-reach] = cross / length
-    normals[~there] = np.nan
-    return normals.astype(np.float64)
+def upward_normals(points: Array) -> Array:
+    """Return unit normals of a surface that is seen pixel by pixel (V, U, 3), upward."""
+    normals = image_normals(points)
+    return normals * np.sign(normals[..., 2:])
 
 
 def scattered_normals(points: Array) -> Array:

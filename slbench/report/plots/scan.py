@@ -25,7 +25,7 @@ from slbench.report.plots.layout import (
     cells,
     steps_of,
 )
-from slbench.report.plots.relief import MOST_POINTS, coloured, image_normals, put_relief, shading
+from slbench.report.plots.relief import MOST_POINTS, coloured, put_relief, shading, upward_normals
 from slbench.score.points import point_errors
 from slbench.simulate.scan import Scan
 
@@ -238,7 +238,7 @@ def _shape(sheet: Sheet, place: Place, title: str, scan: Scan, unit: LengthUnit)
     side[2] = max(side[2], 0.02 * side[:2].max() / factor)
     box = np.array((middle - side, middle + side))
     per_axis = np.array((1.0, 1.0, factor))
-    shade = shading(image_normals(grid * per_axis)[seen])
+    shade = shading(upward_normals(grid * per_axis)[seen])
     colours = coloured(points[:, 2], heights, _COLOURS, shade)
     shown_unit = length_unit(np.ptp(box, axis=0)[:2])
     own = np.array((shown_unit.per_mm, shown_unit.per_mm, unit.per_mm))

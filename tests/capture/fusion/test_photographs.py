@@ -135,7 +135,7 @@ def test_heights_and_points(tmp_path):
     assert {path.name for path in tmp_path.glob("sharp*")} == {
         path.name for path in fused.files(out, scale)
     }
-    heights = read_exr(tmp_path / "sharp-heights.exr")["height"]
+    heights = read_exr(tmp_path / "sharp-heights.exr")["Y"]
     np.testing.assert_allclose(heights, -0.05 * fused.focus, rtol=1e-6)
     points, fields = read_ply(tmp_path / "sharp-points.ply")
     v, u = np.nonzero(np.isfinite(heights))

@@ -1,0 +1,149 @@
+"""Columns of numbers by the names that programs give them, and what they are of a cloud."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.cloud.files.measured import MeasuredCloud
+from slbench.core.errors import InputError
+from slbench.core.units import MILLIMETRES
+
+Array = NDArray[np.float64]
+
+#: Names of a grey value, and of colours; the weights are those of luma (ITU-R BT.601).
+_GREY = ("grey", "gray", "intensity", "luminance", "reflectance")
+_COLOURS = (
+    ("red", "green", "blue"),
+    ("diffuse_red", "diffuse_green", "diffuse_blue"),
+    ("r", "g", "b"),
+)
+_LUMA = (0.299, 0.587, 0.114)
+_NORMALS = (
+    ("nx", "ny", "nz"),
+    ("normal_x", "normal_y", "normal_z"),
+    ("normalx", "normaly", "normalz"),
+)
+#: Scalars that are lengths in the unit of the file.
+LENGTHS = ("sigma", "u", "error")
+#: What follows a name in a header: x_mm, x [mm], x (mm), x/mm.
+_UNIT = re.compile(r"^(.*?)\s*(?:_|\s|/|\[|\()\s*(um|µm|mm|cm|inch|in|m)\s*[\])]?$", re.IGNORECASE)
+_SPELLINGS = {"µm": "um", "in": "inch"}
+
+
+def plain_name(text: str) -> tuple[str, str | None]:
+    """Return the name of a column in lower case, and the unit that it states, if any."""
+    name = text.strip().strip('"').removeprefix("//").lstrip("#").strip().lower()
+    name = name.removeprefix("scalar_")
+    match = _UNIT.match(name)
+    if match is None:
+        return name, None
+    return match[1], _SPELLINGS.get(match[2].lower(), match[2].lower())
+
+
+def cloud_of(
+    columns: Mapping[str, NDArray[Any]], source: object, unit: str | None, usual: str = "mm"
+) -> MeasuredCloud:
+    """Return the cloud that named columns are.
+
+    Parameters
+    ----------
+    columns : mapping of str to (N,) array
+        ``x``, ``y``, ``z``, and what there is besides.
+    source : object
+        The file, for messages.
+    unit : str or None
+        What the user says the unit is.
+    usual : str
+        The unit otherwise, where no name states one.
+
+    Raises
+    ------
+    InputError
+        Without coordinates or points, and where the names state another unit than the user.
+    """
+    named: dict[str, NDArray[Any]] = {}
+    stated: dict[str, str] = {}
+    for text, values in columns.items():
+        name, own = plain_name(text)
+        if name in named:  # x and X, sigma and scalar_sigma: the first one has the name
+            name = text
+        named[name] = values
+        if own is not None:
+            stated[name] = own
+    if missing := [axis for axis in "xyz" if axis not in named]:
+        have = ", ".join(columns) or "none"
+        raise InputError(source, "columns or properties x, y, z", f"{have} (no {missing[0]})")
+    written = stated.get("x")
+    if unit is not None and written is not None and unit != written:
+        raise InputError(source, f"coordinates in {written}, as the header says", f"--unit {unit}")
+    scale = MILLIMETRES[unit or written or usual]
+    points = np.stack([np.asarray(named.pop(axis), np.float64) for axis in "xyz"], axis=1)
+    normals = _normals(named)
+    grey = _grey(named)
+    scalars = {}
+    for name, values in named.items():
+        own_scale = MILLIMETRES[stated[name]] if name in stated else scale
+        scalars[name] = np.asarray(values, np.float64) * (own_scale if name in LENGTHS else 1.0)
+    return finite_cloud(points * scale, source, normals=normals, grey=grey, scalars=scalars)
+
+
+def finite_cloud(
+    points: Array,
+    source: object,
+    *,
+    normals: Array | None = None,
+    grey: Array | None = None,
+    scalars: Mapping[str, Array] | None = None,
+    pixels: NDArray[np.int32] | None = None,
+    shape: tuple[int, int] | None = None,
+) -> MeasuredCloud:
+    """Return a cloud without the points that are not finite.
+
+    Raises
+    ------
+    InputError
+        If none is.
+    """
+    cloud = MeasuredCloud(points, normals, grey, scalars or {}, pixels, shape, source=str(source))
+    kept: NDArray[np.bool_] = np.isfinite(points.sum(axis=1))
+    count = int(np.count_nonzero(kept))
+    if count == 0:
+        raise InputError(source, "a cloud with finite points", f"{len(points)} points, none finite")
+    if count == len(points):
+        return cloud
+    return replace(cloud.chosen(kept), dropped=len(points) - count)
+
+
+def _normals(named: dict[str, NDArray[Any]]) -> Array | None:
+    """Take the normals out of the columns; those that are no directions become NaN."""
+    for names in _NORMALS:
+        if all(name in named for name in names):
+            normals = np.stack([np.asarray(named.pop(name), np.float64) for name in names], axis=1)
+            length = np.linalg.norm(normals, axis=1, keepdims=True)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                normals /= length
+            normals[~np.isfinite(normals).all(axis=1)] = np.nan
+            return normals
+    return None
+
+
+def _grey(named: dict[str, NDArray[Any]]) -> Array | None:
+    """Take grey values, or the luma of colours, out of the columns."""
+    found: Array | None = None
+    for names in _COLOURS:
+        if all(name in named for name in names):
+            colours = [np.asarray(named.pop(name), np.float64) for name in names]
+            found = np.dot(_LUMA, colours)
+            named.pop("alpha", None)
+            break
+    for name in _GREY:
+        if name in named:
+            found = np.asarray(named.pop(name), np.float64)
+            break
+    return found

@@ -1,0 +1,236 @@
+"""Clouds in files of any program: what is read is what was written, by whoever wrote it."""
+
+import importlib.util
+import os
+
+import cv2
+import numpy as np
+import plyfile
+import pytest
+import trimesh
+
+import slbench as sl
+from slbench.cloud import MeasuredCloud, write_cloud
+from slbench.core.errors import InputError
+from slbench.core.io import read_ply, write_exr, write_npz, write_ply
+from slbench.core.io.arrays import read_vertices
+
+RNG = np.random.default_rng(7)
+POINTS = RNG.uniform(-50.0, 50.0, (40, 3))
+NORMALS = RNG.standard_normal((40, 3))
+NORMALS /= np.linalg.norm(NORMALS, axis=1, keepdims=True)
+GREY = np.round(RNG.uniform(0.0, 255.0, 40))
+CLOUD = MeasuredCloud(POINTS, NORMALS, GREY, {"sigma": RNG.uniform(0.01, 0.1, 40)})
+#: Half a unit of the last of nine digits, and of single precision, at 50 mm.
+NINE_DIGITS, SINGLE = 5e-8, 4e-6
+
+
+def same(cloud, points, tolerance):
+    assert cloud.points.dtype == np.float64
+    np.testing.assert_allclose(cloud.points, points, rtol=0.0, atol=tolerance)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "xyz", "csv", "asc", "txt", "npz"])
+def test_all_that_is_known_of_points_is_kept(tmp_path, suffix):
+    path = tmp_path / f"a.{suffix}"
+    write_cloud(path, CLOUD)
+    back = sl.read_cloud(path)
+    tolerance = SINGLE if suffix == "ply" else NINE_DIGITS
+    same(back, POINTS, tolerance)
+    np.testing.assert_allclose(back.normals, NORMALS, atol=1e-6)
+    np.testing.assert_allclose(back.grey, GREY, atol=1e-5)
+    np.testing.assert_allclose(back.scalars["sigma"], CLOUD.scalars["sigma"], rtol=1e-6)
+    assert set(back.scalars) == {"sigma"}
+
+
+def test_scalars_of_ply_have_names_that_cloudcompare_keeps(tmp_path):
+    write_cloud(tmp_path / "a.ply", CLOUD)
+    names = plyfile.PlyData.read(str(tmp_path / "a.ply"))["vertex"].data.dtype
+    # CloudCompare keeps without being asked what is called scalar_*; normals and colours it knows.
+    assert set(names.names) == {
+        *("x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"),
+        *("scalar_sigma", "scalar_grey"),
+    }
+    assert names["red"] == np.uint8
+    assert set(read_ply(tmp_path / "a.ply")[1]) >= {"sigma", "grey", "nx"}
+
+
+@pytest.mark.parametrize("name", ["sigma", "scalar_sigma"])
+def test_old_and_new_names_of_scalars_are_read(tmp_path, name):
+    kinds = [("x", "f8"), ("y", "f8"), ("z", "f8"), (name, "f4")]
+    table = np.zeros(3, kinds)
+    table["z"], table[name] = POINTS[:3, 2], 0.25
+    element = plyfile.PlyElement.describe(table, "vertex")
+    plyfile.PlyData([element], text=True).write(str(tmp_path / "a.ply"))
+    cloud = sl.read_cloud(tmp_path / "a.ply")
+    np.testing.assert_allclose(cloud.points[:, 2], POINTS[:3, 2], rtol=1e-12)  # double, as text
+    assert cloud.scalars["sigma"].tolist() == [0.25] * 3
+    assert list(read_ply(tmp_path / "a.ply")[1]) == ["sigma"]
+
+
+def test_a_file_may_have_a_scalar_by_both_names(tmp_path):
+    table = np.zeros(2, [(n, "f4") for n in ("x", "y", "z", "q", "scalar_q")])
+    table["q"], table["scalar_q"] = 1.0, 2.0
+    element = plyfile.PlyElement.describe(table, "vertex")
+    plyfile.PlyData([element]).write(str(tmp_path / "a.ply"))
+    fields = read_ply(tmp_path / "a.ply")[1]
+    assert (fields["q"][0], fields["scalar_q"][0]) == (1.0, 2.0)
+    with pytest.raises(InputError, match="differ"):
+        write_ply(tmp_path / "b.ply", np.zeros((2, 3)), {"q": [1, 1], "scalar_q": [1, 1]})
+    assert set(read_vertices(tmp_path / "a.ply")[1]) == {"q", "scalar_q"}
+
+
+TEXTS = {
+    "blanks": "1 2 3\n4 5 6\n",
+    "a comment before": "# X Y Z\n1 2 3\n4 5 6\n",
+    "of CloudCompare": "//X Y Z\n2\n1.0 2.0 3.0\n4.0 5.0 6.0\n",
+    "a count": "2\n1 2 3\n4 5 6\n",
+    "commas": "x,y,z\n1,2,3\n4,5,6\n",
+    "commas and blanks": "1, 2, 3\n4, 5, 6\n",
+    "semicolons": "x;y;z\n1;2;3\n4;5;6",
+    "tabs": "x\ty\tz\n1\t2\t3\n4\t5\t6\n",
+    "decimal commas": "x;y;z\n1,0;2,0;3,0\n4,0;5,0;6,0\n",
+    "decimal commas and blanks": "1,0 2,0 3,0\n4,0 5,0 6,0\n",
+    "other order": "z,x,y\n3,1,2\n6,4,5\n",
+    "exponents": "1e0 2.0E+0 .3e1\n4 5. 6\n",
+    "units in the header": "X [um];Y [um];Z [um]\n1000;2000;3000\n4000;5000;6000\n",
+    "metres in the header": "x_m,y_m,z_m\n0.001,0.002,0.003\n0.004,0.005,0.006\n",
+    "Windows' ends": "x,y,z\r\n1,2,3\r\n4,5,6\r\n",
+}
+
+
+@pytest.mark.parametrize("text", TEXTS.values(), ids=TEXTS)
+def test_text_of_any_program_is_read(tmp_path, text):
+    path = tmp_path / "a.txt"
+    path.write_bytes(text.encode())
+    same(sl.read_cloud(path), [[1, 2, 3], [4, 5, 6]], 1e-12)
+
+
+def test_columns_without_a_header_are_told_by_what_they_hold(tmp_path):
+    path = tmp_path / "a.xyz"
+    np.savetxt(path, np.column_stack((POINTS, NORMALS)), fmt="%.7f")
+    assert sl.read_cloud(path).normals.shape == (40, 3)
+    np.savetxt(path, np.column_stack((POINTS, GREY, GREY, GREY)), fmt="%.7g")
+    np.testing.assert_allclose(sl.read_cloud(path).grey, GREY)
+    np.savetxt(path, np.column_stack((POINTS, 1000.0 * NORMALS)), fmt="%.7g")
+    cloud = sl.read_cloud(path)
+    assert cloud.normals is None
+    assert set(cloud.scalars) == {"column4", "column5", "column6"}
+
+
+def test_arrays_of_numpy_are_read_as_points_and_as_maps(tmp_path):
+    np.save(tmp_path / "a.npy", POINTS.astype(np.float32))
+    same(sl.read_cloud(tmp_path / "a.npy"), POINTS, SINGLE)
+    image = POINTS.reshape(5, 8, 3).copy()
+    image[2, 3, 1] = np.nan
+    np.save(tmp_path / "b.npy", image)
+    cloud = sl.read_cloud(tmp_path / "b.npy")
+    assert (len(cloud), cloud.dropped, cloud.shape) == (39, 1, (5, 8))
+    u, v = cloud.pixels.T
+    np.testing.assert_array_equal(image[v, u], cloud.points)
+    write_npz(tmp_path / "c.npz", xyz=image, sigma=np.full((5, 8), 0.5), other=np.zeros(3))
+    cloud = sl.read_cloud(tmp_path / "c.npz")
+    assert (len(cloud), list(cloud.scalars)) == (39, ["sigma"])
+
+
+def test_maps_of_points_in_exr_are_read(tmp_path):
+    image = POINTS.reshape(5, 8, 3).astype(np.float32)
+    image[0, 0] = np.nan
+    for names in (("point.X", "point.Y", "point.Z"), ("X", "Y", "Z"), ("R", "G", "B")):
+        write_exr(tmp_path / "a.exr", {n: image[..., k] for k, n in enumerate(names)})
+        cloud = sl.read_cloud(tmp_path / "a.exr", "inch")
+        assert (len(cloud), cloud.dropped) == (39, 1)
+        np.testing.assert_allclose(
+            cloud.points, 25.4 * image.astype(float).reshape(-1, 3)[1:], rtol=1e-12
+        )
+    write_exr(tmp_path / "p.exr", {"panel.u": image[..., 0]})
+    with pytest.raises(InputError, match="--truth"):
+        sl.read_cloud(tmp_path / "p.exr")
+
+
+def test_vertices_of_meshes_are_read_once_each(tmp_path):
+    box = trimesh.creation.box((1.0, 2.0, 3.0))
+    box.export(tmp_path / "a.stl")
+    assert sl.read_cloud(tmp_path / "a.stl", "m").size_mm > 1000.0
+    assert len(sl.read_cloud(tmp_path / "a.stl")) == 8
+    box.export(tmp_path / "a.obj")
+    assert len(sl.read_cloud(tmp_path / "a.obj")) == 8
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("um", 1e-3), ("m", 1e3), ("inch", 25.4), ("cm", 10)])
+def test_units_scale_points_and_their_deviations(tmp_path, unit, factor):
+    write_ply(tmp_path / "a.ply", POINTS, {"sigma": np.ones(40), "quality": np.ones(40)})
+    cloud = sl.read_cloud(tmp_path / "a.ply", unit)
+    np.testing.assert_allclose(
+        cloud.points, factor * POINTS.astype(np.float32).astype(float), rtol=1e-12
+    )
+    assert cloud.scalars["sigma"][0] == factor
+    assert cloud.scalars["quality"][0] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.txt", b"x y\n1 2\n", "three numbers"),
+        ("a.txt", b"1 2 3\n1 2\n", "3 numbers in every line"),
+        ("a.txt", b"1 2 3\n1 two 3\n", "3 numbers in every line"),
+        ("a.xyz", b"nan nan nan\n", "finite"),
+        ("a.ply", b"nothing", "header"),
+        ("a.e57", b"nothing", "E57"),
+        ("a.npz", b"nothing", "NPZ"),
+        ("a.obj", b"f 1 2 3\n", "vertices"),
+        ("a.stl", b"x", "STL"),
+        ("a.pcd", b"x", "a cloud"),
+    ],
+)
+def test_what_is_no_cloud_is_refused_in_a_line(tmp_path, name, content, words):
+    (tmp_path / name).write_bytes(content)
+    if name == "a.e57" and importlib.util.find_spec("pye57") is None:
+        words = "e57"
+    with pytest.raises(InputError, match=words) as refused:
+        sl.read_cloud(tmp_path / name)
+    assert str(tmp_path / name) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_unit_that_the_header_contradicts_is_refused(tmp_path):
+    (tmp_path / "a.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n")
+    with pytest.raises(InputError, match="coordinates in mm"):
+        sl.read_cloud(tmp_path / "a.csv", "um")
+    with pytest.raises(InputError, match="unit"):
+        sl.read_cloud(tmp_path / "a.csv", "furlong")
+
+
+def test_a_folder_stands_for_its_cloud(tmp_path):
+    with pytest.raises(InputError, match=r"cloud\.ply"):
+        sl.read_cloud(tmp_path)
+    write_cloud(tmp_path / "cloud.ply", CLOUD)
+    assert len(sl.read_cloud(tmp_path)) == 40
+
+
+def test_e57_is_written_and_read_in_metres(tmp_path):
+    pytest.importorskip("pye57", reason="the extra e57 is not installed")
+    write_cloud(tmp_path / "a.e57", CLOUD)
+    back = sl.read_cloud(tmp_path / "a.e57")
+    same(back, POINTS, SINGLE)  # pye57 writes no other
+    np.testing.assert_allclose(back.grey, GREY, rtol=1e-6)
+    same(sl.read_cloud(tmp_path / "a.e57", "mm"), 1e-3 * POINTS, 1e-3 * SINGLE)
+
+
+def test_e57_without_its_extra_is_one_line_that_names_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pye57", None)
+    (tmp_path / "a.e57").write_bytes(b"ASTM-E57")
+    with pytest.raises(InputError, match=r"slbench\[e57\]"):
+        sl.read_cloud(tmp_path / "a.e57")
+    with pytest.raises(InputError, match=r"slbench\[e57\]"):
+        write_cloud(tmp_path / "b.e57", CLOUD)
+    assert not (tmp_path / "b.e57").exists()
+
+
+def test_single_pictures_in_exr_open_in_opencv(tmp_path):
+    if "OpenEXR:                     NO" in cv2.getBuildInformation():
+        pytest.skip("this OpenCV is built without OpenEXR")
+    os.environ["OPENCV_IO_ENABLE_OPENEXR"] = "1"
+    image = RNG.random((6, 7), dtype=np.float32)
+    write_exr(tmp_path / "a.exr", {"Y": image})
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "a.exr"), cv2.IMREAD_UNCHANGED), image)
