@@ -91,7 +91,7 @@ def test_every_number_says_where_it_comes_from(folder):
 def test_what_a_hardware_file_does_not_confirm_is_said(folder):
     assert new(projector="ti-lightcrafter", throw_ratio=None, projector_f_number=None).status == 0
     text = (folder / "mine.toml").read_text()
-    assert "#   not confirmed in hardware/ti-lightcrafter: projector.micromirror_um, " in text
+    assert "#   not confirmed in hardware/ti-lightcrafter: projector.f_number\n" in text
     assert "# f_number = 2.4: hardware/ti-lightcrafter, not confirmed\n" in text
     assert "# throw_ratio = 1.66: hardware/ti-lightcrafter\n" in text
     assert text.count("not confirmed") == 2  # nothing of the camera

@@ -150,8 +150,8 @@ def test_what_is_not_confirmed_is_known():
         "hardware/ti-dlp2010": ("projector.micromirror_um",),
         "hardware/ti-dlp3010": ("projector.f_number",),
         "hardware/ti-dlp9000": ("projector.f_number",),
-        "hardware/ti-lightcrafter": ("projector.micromirror_um", "projector.f_number"),
-        "hardware/ti-lightcrafter-4500": ("projector.micromirror_um", "projector.flux_lm"),
+        "hardware/ti-lightcrafter": ("projector.f_number",),
+        "hardware/ti-lightcrafter-4500": ("projector.flux_lm",),
     }
 
 
