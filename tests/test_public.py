@@ -108,6 +108,7 @@ def values(tmp_path_factory):
         *(sl.Fringes(8), sl.GrayCode(), sl.Flat(1.0), scene.sequence.frames()[0]),
         scene.with_patterns("white+black+gray+1,2,4,8,16,32,64@8", axes="uv").sequence,
         *(sl.patterns.read_patterns("1,8", (64, 48)), sl.patterns.Response(2.2)),
+        *(kind([1.0, 2.0, 3.0], [0.0, 0.0, 1.0], 5.0, 0.4) for kind in elements()),
         sl.cloud.registration.Overlap(0, 1, 1000, 0.5, 0.001, 0.0005, 6),
         sl.select_models(rig_points(200)).model,
         sl.compare(scene, sets, repeats=2, transports=[scan.transport], truth=scan.truth),
@@ -119,6 +120,10 @@ def values(tmp_path_factory):
         small_twin(),
     ]
     return found
+
+
+def elements():
+    return (sl.cloud.fits.Element, *sl.cloud.fits.elements.values())
 
 
 def flat_cloud():

@@ -1,6 +1,7 @@
 """The public names of :mod:`slbench.cloud` and where they are defined."""
 
 from . import files as files
+from . import fits as fits
 from . import registration as registration
 from .decoded import Decoded as Decoded
 from .decoded import decode_capture as decode_capture

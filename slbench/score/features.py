@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.cloud.fits.covariance import along_lines
+from slbench.cloud.fits.squares import core
 from slbench.objects import REFERENCE, Artefact, PlaneFeature, SphereFeature
 from slbench.rig import Device, Pose, Rig
 from slbench.rig.pose import product
@@ -27,11 +29,6 @@ Array = NDArray[np.float64]
 SET_ASIDE = 0.003
 #: Fewer points than this carry no feature.
 MIN_POINTS = 20
-#: Fewer lines than this do not tell how errors go together.
-_MIN_LINES = 5
-#: A point further from the median than this many robust standard deviations (1.4826 MAD) is
-#: an outlier: beyond 6 sigma a Gaussian has two in a billion.
-OUTLIER_SIGMAS = 6.0
 #: Where a sphere turns further than this from a device, its points are not fitted: the pixel's
 #: footprint there is long, its light faint, and half of it may see the background.
 MAX_INCIDENCE = np.deg2rad(60.0)
@@ -187,15 +184,6 @@ def fit_features(
     return found
 
 
-def core(values: Array) -> NDArray[np.bool_]:
-    """Return a mask of inliers among values (n,), by median and MAD."""
-    if not values.size:
-        return np.zeros(0, bool)
-    off = np.abs(values - np.median(values))
-    # Noise-free values can agree to rounding: that is no reason to reject any.
-    return off <= OUTLIER_SIGMAS * 1.4826 * np.median(off) + 1e-9
-
-
 def _facing(
     device: Device, points: Array, chosen: NDArray[np.intp], normal: Array
 ) -> tuple[NDArray[np.intp], Array]:
@@ -238,7 +226,7 @@ class _Plane:
         # Three columns of some millimetres about the middle: well conditioned.
         coefficients = np.linalg.solve(inner.T @ inner, inner.T @ points[kept, 2])
         residuals = points[:, 2] - product(design, coefficients)
-        covariance = _covariance(inner, residuals[kept], labels[kept])
+        covariance = along_lines(inner, residuals[kept], labels[kept])
         normal = residuals / np.sqrt(1.0 + np.sum(coefficients[1:] ** 2))
         return cls(face, float(coefficients[0]), float(covariance[0, 0]), normal, kept)
 
@@ -261,39 +249,6 @@ class _Plane:
             float(np.sqrt(self.variance_mm2 + base.variance_mm2)),
             len(self.residuals),
         )
-
-
-def _covariance(jacobian: Array, residuals: Array, lines: NDArray[np.integer]) -> Array:
-    """Covariance of least-squares coefficients under errors that go together along lines.
-
-    The classical formula takes points as independent.  Sums over whole lines allow for any
-    correlation within a line; how the sums go together from line to line is read off their
-    cosine transform at the lowest B = 0.4 n^(2/3) frequencies, where errors that persist lie and
-    the staircase of the projector's pixels, which alternates and mostly cancels, does not
-    (Lazarus, Lewis, Stock and Watson, J. Bus. Econ. Stat. 36, 2018).  Student's t of B degrees of
-    freedom widens the result so that 1.96 standard uncertainties cover 95 %.  Each variance is at
-    least the classical one.  NaN for fewer than five lines, which cannot tell.
-    """
-    from scipy.fft import dct
-    from scipy.special import stdtrit
-
-    _, line = np.unique(lines, return_inverse=True)
-    count, columns = int(line.max()) + 1, jacobian.shape[1]
-    bread = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    classical = bread * float(residuals @ residuals) / max(len(residuals) - columns, 1)
-    if count == len(residuals):
-        return classical
-    if count < _MIN_LINES:
-        return np.full_like(classical, np.nan)
-    scores: Array = np.stack(
-        [np.bincount(line, jacobian[:, k] * residuals, count) for k in range(columns)], axis=-1
-    )
-    told = max(2, round(0.4 * count ** (2.0 / 3.0)))
-    slow = dct(scores, axis=0)[1 : told + 1]
-    meat = slow.T @ slow / (2.0 * told)
-    robust = bread @ meat @ bread * (float(stdtrit(told, 0.975)) / 1.96) ** 2
-    raised = np.sqrt(np.maximum(np.diag(classical) / np.maximum(np.diag(robust), 1e-300), 1.0))
-    return robust * np.outer(raised, raised)
 
 
 def _spread(residuals: Array, fitted: int) -> float:
@@ -355,7 +310,7 @@ class _Ball:
     def fit(cls, sphere: SphereFeature, points: Array, labels: NDArray[np.integer]) -> _Ball:
         kept = core(np.linalg.norm(points - np.array(sphere.centre_mm), axis=-1))
         centre, radius, inner, jacobian = fit_sphere(points[kept])
-        covariance = _covariance(jacobian, inner, labels[kept])
+        covariance = along_lines(jacobian, inner, labels[kept])
         residuals = np.linalg.norm(points - centre, axis=-1) - radius
         return cls(sphere, centre, radius, covariance, residuals, _spread(inner, 4))
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.cloud.fits.squares import OUTLIER_SIGMAS
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.show.display import block, length, share
 from slbench.core.show.document import Table
@@ -21,7 +22,6 @@ from slbench.rig import Rig
 from slbench.scene.model import SceneObject
 from slbench.scene.truth import GroundTruth
 from slbench.score.features import (
-    OUTLIER_SIGMAS,
     FeatureScore,
     PlaneScore,
     SpacingScore,

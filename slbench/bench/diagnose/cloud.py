@@ -21,8 +21,8 @@ from slbench.bench.diagnose.regression import Group
 from slbench.bench.diagnose.rim import inner
 from slbench.bench.diagnose.shape import Plane, Shape, ShapeKind, Sphere, fit_shape
 from slbench.bench.diagnose.waves import Wave, find_waves
+from slbench.cloud.fits.squares import OUTLIER_SIGMAS
 from slbench.core.errors import InputError
-from slbench.score.features import OUTLIER_SIGMAS
 
 Array = NDArray[np.float64]
 

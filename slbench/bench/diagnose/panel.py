@@ -29,8 +29,8 @@ from slbench.bench.diagnose.orders import whole_orders
 from slbench.bench.diagnose.regression import Group, regress, tiles_of
 from slbench.bench.diagnose.rest import Rest, split_rest
 from slbench.bench.diagnose.shape import Shape
+from slbench.cloud.fits.squares import OUTLIER_SIGMAS
 from slbench.core.show.display import brief
-from slbench.score.features import OUTLIER_SIGMAS
 
 Array = NDArray[np.float64]
 
