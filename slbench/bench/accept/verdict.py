@@ -1,0 +1,166 @@
+"""Errors against maximum permissible errors, by the decision rule of ISO 14253-1.
+
+The limit is reduced (to prove conformity) or raised (to prove nonconformity) by a guard band, as
+ISO 14253-1:2017 has it by default: what is proven is proven with a probability of 95 %.  An error
+has one limit near it, so that the guard band is 1.645 standard uncertainties of the test.  Between
+them nothing is proven: *undecided*.
+
+A maximum permissible error may depend on the tested length: ``A + L / K`` micrometres, L in mm.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from slbench.bench.accept.definitions import TESTS, ErrorKind
+from slbench.bench.accept.evaluate import PlaceError
+from slbench.core.errors import InputError
+from slbench.core.registry import quoted
+
+Outcome = Literal["pass", "fail", "undecided", "no limit"]
+
+#: Quantile of the normal distribution, one side, 95 %.
+GUARD = 1.644854
+
+_NUMBER = r"(\d+\.?\d*|\.\d+)"
+_LIMIT = re.compile(rf"\s*{_NUMBER}\s*(?:\+\s*L\s*/\s*{_NUMBER}\s*)?", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A maximum permissible error: ``constant_um + L / per``, um, L in mm.
+
+    Parameters
+    ----------
+    constant_um : float
+    per : float or None
+        None for one that does not depend on the length.
+    """
+
+    constant_um: float
+    per: float | None = None
+
+    @classmethod
+    def read(cls, text: str | float, where: str) -> Limit:
+        """Read ``20`` or ``"15 + L/50"``.
+
+        Raises
+        ------
+        InputError
+            For anything else, and a limit of nothing.
+        """
+        match = _LIMIT.fullmatch(str(text)) if not isinstance(text, bool) else None
+        if match is None or (match[2] and not float(match[2]) > 0.0) or not float(match[1]) > 0.0:
+            raise InputError(where, 'micrometres, such as 20 or "15 + L/50" (L in mm)', repr(text))
+        return cls(float(match[1]), float(match[2]) if match[2] else None)
+
+    def mm(self, length_mm: float) -> float:
+        """Return the limit of a length, mm."""
+        return 1e-3 * (self.constant_um + (length_mm / self.per if self.per else 0.0))
+
+    def __str__(self) -> str:
+        return f"{self.constant_um:g}" + (f" + L/{self.per:g}" if self.per else "")
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A value beside its limit.
+
+    Parameters
+    ----------
+    value : PlaceError
+    limit_mm : float or None
+    outcome : {"pass", "fail", "undecided", "no limit"}
+    """
+
+    value: PlaceError
+    limit_mm: float | None
+    outcome: Outcome
+
+    @property
+    def used(self) -> float:
+        """Magnitude of the error over its limit; NaN without one."""
+        return abs(self.value.error_mm) / self.limit_mm if self.limit_mm else float("nan")
+
+
+@dataclass(frozen=True)
+class Tested:
+    """One test over all places.
+
+    Parameters
+    ----------
+    test : ErrorKind
+    limit : Limit or None
+    judged : tuple of Judged
+        One a place.
+    """
+
+    test: ErrorKind
+    limit: Limit | None
+    judged: tuple[Judged, ...]
+
+    @property
+    def worst(self) -> Judged:
+        """The place nearest to its limit, or beyond; the largest error without one."""
+        if self.limit is None:
+            return max(self.judged, key=lambda one: abs(one.value.error_mm))
+        return max(self.judged, key=lambda one: one.used)
+
+    @property
+    def outcome(self) -> Outcome:
+        """Fail if one place fails, else undecided if one is, else pass."""
+        return overall([one.outcome for one in self.judged])
+
+
+def judge(value: PlaceError, limit: Limit | None) -> Judged:
+    """Judge a value by its limit."""
+    if limit is None:
+        return Judged(value, None, "no limit")
+    signed = TESTS[value.test].signed
+    bound = limit.mm(value.certified_mm if signed else 0.0)
+    guard, size = GUARD * value.u_test_mm, abs(value.error_mm)
+    outcome: Outcome = "undecided"
+    if size + guard <= bound:
+        outcome = "pass"
+    elif size - guard > bound:
+        outcome = "fail"
+    return Judged(value, bound, outcome)
+
+
+def judged_tests(values: Sequence[PlaceError], limits: Mapping[str, Limit]) -> tuple[Tested, ...]:
+    """Judge the values of all places, test by test."""
+    found = []
+    for name, test in TESTS.items():
+        own = [value for value in values if value.test == name]
+        if own:
+            limit = limits.get(name)
+            found.append(Tested(test, limit, tuple(judge(value, limit) for value in own)))
+    return tuple(found)
+
+
+def overall(outcomes: Sequence[Outcome]) -> Outcome:
+    """Return fail if one failed, else undecided if one is, else pass if one passed."""
+    for outcome in ("fail", "undecided", "pass"):
+        if outcome in outcomes:
+            return outcome  # type: ignore[return-value]
+    return "no limit"
+
+
+def read_limits(given: Mapping[str, str | float], where: str) -> dict[str, Limit]:
+    """Read limits by name of the test.
+
+    Raises
+    ------
+    InputError
+        For a test that there is not, with the nearest, and a limit that cannot be read.
+    """
+    found = {}
+    for key, text in given.items():
+        name = key.removesuffix("_um")
+        if name not in TESTS:
+            raise InputError(where, f"one of {', '.join(TESTS)}", quoted(name, list(TESTS)))
+        found[name] = Limit.read(text, f"{where}: {key}")
+    return found
