@@ -11,6 +11,7 @@ import pytest
 from refusals import wrong_values
 
 import slbench
+from slbench.bench.accept.standards import Standard, Temperature
 from slbench.calibration.target.free import FreeBoard
 from slbench.capture.capture import Capture, CaptureTable
 from slbench.capture.focus import Focus
@@ -82,6 +83,8 @@ VALUES = [
     load_hardware("hardware/macro-ch6"),
     Exposure(),
     Light(),
+    Temperature(21.0, 0.1),
+    Standard("ball_bar", diameter_mm=10.0, spacing_mm=40.0),
     OBJECT,
     Place(300.0, 110.0, 20.0),
     Lenses(
