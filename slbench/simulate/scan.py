@@ -262,6 +262,7 @@ def scan(
     weights: WeightSource = "lit",
     score: bool = True,
     lights: Lights | None = None,
+    calibration_seed: int | None = None,
     on_progress: Progress | None = None,
 ) -> Scan:
     """Measure a scene: trace, capture, decode, triangulate, score.
@@ -282,6 +283,8 @@ def scan(
     lights : Lights, optional
         Light and truth to take where they are at hand and to keep otherwise, for scenes that share
         them (:mod:`slbench.simulate.lights`); the samples have its seed then.
+    calibration_seed : int, optional
+        Of the error of the calibration, where every scan has its own; `seed` by default.
     on_progress : callable, optional
 
     Returns
@@ -357,7 +360,12 @@ def scan(
     with stage("reconstruct"):
         view = views[only]
         ripple = ripples(view.phase, view.capture.sequence)
-        made = reconstruct(scene, view.phase, view.truth, seed=seed)
+        made = reconstruct(
+            scene,
+            view.phase,
+            view.truth,
+            seed=seed if calibration_seed is None else calibration_seed,
+        )
         for doubt in calibration_doubts(scene, view.phase, view.truth, made):
             warn_user(f"scene {scene.name}: calibration", doubt)
         cloud = made.cloud.with_steady(ripple_rms_px(ripple))

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.claims.file import Claim, load_claims
+from slbench.bench.claims.places import over_places
 from slbench.bench.claims.pools import Floor, Pools
 from slbench.bench.claims.verdicts import MAX_REPEATS, Verdict, judge_each, judge_mean
 from slbench.bench.statistics import Interval
@@ -54,6 +55,8 @@ class Result:
         Where there is a baseline.
     floor : Floor or None
         What the claim's scans leave without noise, and which part of it is sampling.
+    by_place : (places, n) float or None
+        The quantity at each place, of a claim over several.
     """
 
     claim: Claim
@@ -63,6 +66,7 @@ class Result:
     seconds: float
     regression: Regression | None = None
     floor: Floor | None = None
+    by_place: Array | None = None
 
     __repr__ = brief
 
@@ -112,7 +116,7 @@ class Result:
             known = limit.quantity is not None and np.isfinite(bound).all()
             words.append(f"{limit} = {bound.mean():.4g}" if known else str(limit))
         share = "" if self.claim.each is None else f" in {100 * self.claim.each:g} % of repeats"
-        return " and ".join(words) + share
+        return " and ".join(words) + share + self.claim.where()
 
     def advice(self) -> str:
         """Return how many repeats would decide, in words."""
@@ -133,6 +137,7 @@ class Result:
             "outcome": self.outcome,
             **self.verdict.to_dict(),
             "values": self.values,
+            **({} if self.by_place is None else {"values_by_place": self.by_place}),
             "regression": None if self.regression is None else vars(self.regression),
             "floor": None if self.floor is None else vars(self.floor),
             "seconds": self.seconds,
@@ -205,15 +210,24 @@ def check_claim(claim: Claim, pools: Pools) -> Result:
     seconds = time.perf_counter() - start
     pairs = list(zip(claim.limits, others, strict=True))
     margins = [limit.margin(values, other) for limit, other in pairs]
+    by_place = values if claim.several else None
+    if by_place is not None:
+        values, margins = over_places(values, margins, claim.over_places)
     if claim.each is None:
         verdict = judge_mean(values, margins, claim.confidence)
     else:
         verdict = judge_each(values, margins, claim.confidence, claim.each)
-    bounds = tuple(limit.of(other) for limit, other in pairs)
+    # At the place that decides, or of their mean.
+    bounds = tuple(
+        values + limit.sign * margin
+        if claim.several and limit.quantity is not None
+        else limit.of(other[0] if claim.several else other)
+        for (limit, other), margin in zip(pairs, margins, strict=True)
+    )
     floor, scene = pools.floor(claim), pools.scene(claim.settings)
     if floor is not None and (doubt := floor.doubt(scene.samples)):
         warn_user(f"scene {floor.of}", doubt)
-    return Result(claim, verdict, values, bounds, seconds, floor=floor)
+    return Result(claim, verdict, values, bounds, seconds, floor=floor, by_place=by_place)
 
 
 def with_regressions(

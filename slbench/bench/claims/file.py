@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from slbench.bench.claims.places import Over, Places, read_places
 from slbench.bench.claims.quantities import SPEED_FIELDS, family, pattern_set, unit, unknown
 from slbench.bench.claims.settings import (
     Settings,
@@ -53,6 +54,8 @@ EACH = 0.95
 #: Repeats where a claim states none: scans, and comparisons of ``scans`` scans each.
 REPEATS = 15
 COMPARISONS = 5
+#: Keys of claims on scans alone.
+_OF_SCANS = ("places", "over_places", "redraw")
 #: More are a slip.
 _MOST = 10_000
 
@@ -72,6 +75,8 @@ class _Claim(SettingsTable):
     confidence: Confidence = 0.95
     repeats: Annotated[int, Field(ge=2, le=_MOST)] | None = None
     each: Any = False
+    places: Any = None
+    over_places: Over | None = None
     scans: Annotated[int, Field(ge=2, le=_MOST)] | None = None
     equal: Literal["frames", "photons"] | None = None
     slow: bool = False
@@ -100,7 +105,11 @@ class Limit:
 
     def of(self, others: Array) -> Array:
         """Return the bound itself, repeat by repeat."""
-        return np.full(len(others), self.factor) if self.quantity is None else self.factor * others
+        return (
+            np.full(np.shape(others), self.factor)
+            if self.quantity is None
+            else self.factor * others
+        )
 
     def __str__(self) -> str:
         word = "at most" if self.sign > 0 else "at least"
@@ -127,6 +136,11 @@ class Claim:
         Scans, comparisons or runs.
     each : float or None
         Share of single measurements within the limits; None for a claim on the mean.
+    places : tuple of Displacement, int, "random" or None
+        Where the objects are (:mod:`slbench.bench.claims.places`); None for where the scene has
+        them.
+    over_places : {"worst", "mean", "p95"}
+        What is taken of all places of a repeat.
     scans : int
         Scans of each set in one comparison.
     equal : {"frames", "photons"} or None
@@ -145,6 +159,8 @@ class Claim:
     confidence: float
     repeats: int
     each: float | None
+    places: Places | None
+    over_places: Over
     scans: int
     equal: Literal["frames", "photons"] | None
     slow: bool
@@ -156,6 +172,11 @@ class Claim:
     def quantities(self) -> tuple[str, ...]:
         """The quantity and those of the limits."""
         return (self.quantity, *(limit.quantity for limit in self.limits if limit.quantity))
+
+    @property
+    def several(self) -> bool:
+        """Whether every repeat measures at all of several places."""
+        return self.places is not None and self.places != "random"
 
     @property
     def family(self) -> str:
@@ -170,7 +191,17 @@ class Claim:
     def describe(self) -> str:
         """Return the claim in words: quantity and limits."""
         share = "" if self.each is None else f" in {100 * self.each:g} % of measurements"
-        return f"{self.quantity} {' and '.join(map(str, self.limits))}{share}"
+        return f"{self.quantity} {' and '.join(map(str, self.limits))}{share}{self.where()}"
+
+    def where(self) -> str:
+        """Return the places in words, empty where there is but the scene's own."""
+        if self.places is None:
+            return ""
+        if self.places == "random":
+            return " at random places"
+        count = self.places if isinstance(self.places, int) else len(self.places)
+        what = {"worst": "at the worst", "mean": "on the mean", "p95": "at 95 %"}
+        return f" {what[self.over_places]} of {count} places"
 
     def identity(self) -> dict[str, Any]:
         """Return what is measured, without the bounds: what a baseline has to agree with."""
@@ -182,6 +213,8 @@ class Claim:
             "versus": self.versus.identity(),
             "scans": self.scans if self.family == "set" else None,
             "equal": self.equal,
+            "places": self.places,
+            "over_places": self.over_places if self.several else None,
         }
         return {key: value for key, value in values.items() if value is not None}
 
@@ -310,6 +343,7 @@ def _claim(table: _Claim, where: str, folder: Path) -> Claim:
         table.confidence,
         repeats,
         each,
+        *_places(table, where),
         table.scans or REPEATS,
         table.equal,
         table.slow,
@@ -325,12 +359,20 @@ def _each(value: Any, where: str) -> float | None:
     raise InputError(where, "true, or a share between 0 and 1", shown(value))
 
 
+def _places(table: _Claim, where: str) -> tuple[Places | None, Over]:
+    places = None if table.places is None else read_places(table.places, f"{where}: places")
+    if table.over_places is not None and places in (None, "random"):
+        expected = "places beside it: how many, or a list"
+        raise InputError(f"{where}: over_places", expected, shown(table.places))
+    return places, table.over_places or "worst"
+
+
 def _check_keys(table: _Claim, measure: str, where: str) -> None:
     """Refuse keys that would change nothing."""
     unused = {
         "score": ("scans", "equal"),
-        "set": ("patterns", "axes", "noise"),
-        "speed": ("scans", "equal", "patterns", "shifts", "axes", "noise"),
+        "set": ("patterns", "axes", "noise", *_OF_SCANS),
+        "speed": ("scans", "equal", "patterns", "shifts", "axes", "noise", *_OF_SCANS),
     }[measure]
     for key in unused:
         if getattr(table, key) is not None:

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.claims.file import Claim
+from slbench.bench.claims.places import Displacement, drawn, placed, planned
 from slbench.bench.claims.quantities import (
     check_set,
     claim_quantities,
@@ -37,7 +38,7 @@ from slbench.bench.compare.compare import NothingToCompare, compare, own_shifts
 from slbench.bench.compare.comparison import SetResult
 from slbench.bench.compare.sets import PatternSet, pattern_sets
 from slbench.core import resources
-from slbench.core.errors import located
+from slbench.core.errors import InputError, located
 from slbench.core.io import plain
 from slbench.core.random import tagged_seed
 from slbench.core.show.display import length
@@ -47,6 +48,7 @@ from slbench.patterns.given import in_words
 from slbench.scene.file import load_scene
 from slbench.scene.model import USUAL_PATTERNS, Scene, SceneObject
 from slbench.simulate.floors import more_samples
+from slbench.simulate.lights import Lights
 from slbench.simulate.scan import scan, score_scan
 
 Array = NDArray[np.float64]
@@ -147,6 +149,8 @@ class Pools:
                 self.scene(settings)
             if claim.family == "set":
                 self._sets(claim)
+            for settings in {claim.settings, claim.versus} if claim.several else ():
+                self.places(claim, self.scene(settings))
         for quantity in claim.quantities if claim.family == "set" else ():
             check_set(quantity, self.scene(claim.settings), f"{where}: quantity")
         if claim.family == "score":
@@ -192,14 +196,14 @@ class Pools:
 
         Returns
         -------
-        values : (repeats,) float
+        values : (repeats,) or (places, repeats) float
             NaN where a scan did not give the quantity.
-        others : list of (repeats,) float
+        others : list of as many float
             One a limit; NaN where the limit is a number.
         """
         values = self._values(claim, claim.quantity, claim.settings)
         others = [
-            np.full(len(values), np.nan)
+            np.full(values.shape, np.nan)
             if limit.quantity is None
             else self._values(claim, limit.quantity, claim.versus)
             for limit in claim.limits
@@ -220,14 +224,14 @@ class Pools:
                 (s.floor_median_mm, s.monte_carlo_median_mm, s.error_median_mm) for s in found
             ]
         else:
-            rows = self._scans(claim, claim.settings)
+            scans = [row for own in self._scans(claim, claim.settings) for row in own]
             errors = [f"smooth_rms_px.{axis}" for axis in scene.sequence.axes]
             numbers = [
                 (
                     *(row[key] for key in _FLOORS),
                     float(np.sqrt(np.mean([row[e] ** 2 for e in errors]))),
                 )
-                for row in rows
+                for row in scans
             ]
         if not numbers:
             return None
@@ -251,20 +255,73 @@ class Pools:
             )
             return np.array([row[quantity.removeprefix("speed.")] for row in rows])
         names = resolve(quantity, scene, f'claim "{claim.name}"')
-        rows = self._scans(claim, settings)
+        scans = self._scans(claim, settings)
         # The largest of a family of features; NaN if one of them was not measured.
-        return np.array([[row[name] for name in names] for row in rows]).max(axis=1)
+        values = np.array([[[row[name] for name in names] for row in own] for own in scans])
+        found = values.max(axis=2)
+        return found if claim.several else found[0]
 
-    def _scans(self, claim: Claim, settings: Settings) -> list[Row]:
-        """Return the numbers of a claim's scans, repeat by repeat."""
+    def _scans(self, claim: Claim, settings: Settings) -> list[list[Row]]:
+        """Return the numbers of a claim's scans, by place and repeat.
+
+        Where every repeat measures at all of several places, light is traced once a place.
+        """
         scene, further = self.scene(settings), frozenset(self._further)
 
-        def one(seed: int) -> Row:
+        def one(where: Scene, seed: int, calibration: int, lights: Lights | None) -> Row:
             # Scored here: of all repeats together it is told where sampling is seen.
-            made = scan(scene, seed=seed, noise=settings.noise, score=False)
+            made = scan(
+                where,
+                seed=seed,
+                noise=settings.noise,
+                score=False,
+                lights=lights,
+                calibration_seed=calibration,
+            )
             return score_values(score_scan(made), further)
 
-        return self._repeats((settings, further), claim.repeats, scene.name, one)
+        def at_random(seed: int) -> Row:
+            return one(placed(scene, drawn(scene, seed)), seed, seed, None)
+
+        if not claim.several:
+            measure = at_random if claim.places == "random" else lambda s: one(scene, s, s, None)
+            key = (settings, further, claim.places)
+            return [self._repeats(key, claim.repeats, scene.name, measure)]
+        rows = []
+        for k, place in enumerate(self.places(claim, scene)):
+            rows.append(self._at_place(settings, further, claim.repeats, place, k, one))
+        return rows
+
+    def _at_place(
+        self,
+        settings: Settings,
+        further: frozenset[str],
+        repeats: int,
+        place: Displacement,
+        number: int,
+        one: Callable[[Scene, int, int, Lights | None], Row],
+    ) -> list[Row]:
+        """Return the numbers of scans at a place, repeat by repeat, all in the same light."""
+        scene = self.scene(settings)
+        here = placed(scene, place)
+        # With focus settings there is the light of a perfect stack beside theirs.
+        lights = Lights(tagged_seed(self.seed, number), kept=2)
+        return self._repeats(
+            (settings, further, place),
+            repeats,
+            f"{scene.name}, place {number + 1}",
+            # One calibration at all places of a repeat, noise of its own at each.
+            lambda seed: one(here, tagged_seed(seed, number), seed, lights),
+        )
+
+    @staticmethod
+    def places(claim: Claim, scene: Scene) -> tuple[Displacement, ...]:
+        """Return the places of a claim that has several."""
+        assert claim.places is not None
+        assert claim.places != "random"
+        if isinstance(claim.places, int):
+            return planned(scene, claim.places)
+        return claim.places
 
     def _comparisons(self, claim: Claim, scene: Scene) -> list[dict[str, SetResult]]:
         """Return the sets' results, repeat by repeat; none where nothing can be compared."""
@@ -344,4 +401,10 @@ def _load(settings: Settings, allow_modules: bool) -> Scene:
             folder=settings.folder,
             allow_modules=allow_modules,
         )
+    if settings.redraw:
+        made = scene.calibration
+        if made is None or made.covariance is None:
+            expected = "a calibration with std or covariance, in the scene or in measured_with"
+            raise InputError(f"scene {scene.name}: redraw", expected, "none to draw from")
+        scene = replace(scene, calibration=replace(made, redraw=True))
     return scene if settings.samples is None else replace(scene, samples=settings.samples)

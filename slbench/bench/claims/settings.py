@@ -1,8 +1,8 @@
 """How a claim's scene is measured: its file, and what differs from it.
 
 Keys of a claim, and of its ``versus``: ``scene``, ``patterns``, ``shifts``, ``axes``, ``samples``,
-``preview``, ``noise``, ``set``, ``measured_with`` and ``align``.  What is not given is as the scene
-has it.  Files that they name stand in the claims file's folder.
+``preview``, ``noise``, ``set``, ``measured_with``, ``align`` and ``redraw``.  What is not given is
+as the scene has it.  Files that they name stand in the claims file's folder.
 """
 
 from __future__ import annotations
@@ -32,15 +32,17 @@ class SettingsTable(Parameters):
     set: tuple[Word, ...] | None = None
     measured_with: Word | None = None
     align: bool | None = None
+    redraw: bool | None = None
 
 
 @dataclass(frozen=True)
 class Settings:
     """How a scene is measured: file, and what differs from it.
 
-    ``changes`` are of the scene's keys, ``measured_with`` is a rig or a calibration model, and
-    ``align`` says whether points are moved to the truth.  ``folder`` is that of the claims file,
-    where it names patterns: files stand in it.
+    ``changes`` are of the scene's keys, ``measured_with`` is a rig or a calibration model,
+    ``align`` says whether points are moved to the truth, and ``redraw`` whether each repeat is
+    measured by a rig of its own, drawn from the calibration's covariance.
+    ``folder`` is that of the claims file, where it names patterns: files stand in it.
     """
 
     scene: Path
@@ -53,19 +55,19 @@ class Settings:
     changes: tuple[Change, ...] = ()
     measured_with: Path | None = None
     align: bool = False
+    redraw: bool = False
     folder: Path | None = None
 
     def identity(self) -> dict[str, Any]:
         """Return them wherever their files stand, for baselines."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}
-        for name in ("folder", "changes", "measured_with", "align"):
+        for name in ("folder", "changes", "measured_with", "align", "redraw"):
             del values[name]
         # Of what was not thought of when older baselines were written: where there is any.
         further: dict[str, Any] = {"set": listed(self.changes)} if self.changes else {}
         if self.measured_with is not None:
             further["measured_with"] = self.measured_with.name
-        if self.align:
-            further["align"] = True
+        further |= {name: True for name in ("align", "redraw") if getattr(self, name)}
         return values | {"scene": self.scene.name} | further
 
 
