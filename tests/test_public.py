@@ -113,6 +113,7 @@ def values(tmp_path_factory):
         sl.select_models(rig_points(200)).model,
         sl.compare(scene, sets, repeats=2, transports=[scan.transport], truth=scan.truth),
         sl.error_budget(scene, repeats=2),
+        *uncertain(scene),
         sl.diagnose_cloud(flat_cloud()),
         sl.cloud.MeasuredCloud(flat_cloud(), scalars={"sigma": np.full(1200, 0.01)}),
         sl.open_dataset(write_dataset(tmp_path_factory.mktemp("small"))),
@@ -124,6 +125,13 @@ def values(tmp_path_factory):
 
 def elements():
     return (sl.cloud.fits.Element, *sl.cloud.fits.elements.values())
+
+
+def uncertain(scene):
+    """Return the uncertainty budget of a face of a scene."""
+    faces = (one for one in sl.bench.claims.quantities.features_of(scene) if one.kind == "plane")
+    name = f"plane[{next(faces).label}].std_mm"
+    yield sl.bench.uncertainty_budget(scene, [name], draws=100)
 
 
 def flat_cloud():

@@ -1,6 +1,9 @@
 """The public names of :mod:`slbench.bench` and where they are defined."""
 
 from . import claims as claims
+from .budget.inputs import read_budget as read_budget
+from .budget.uncertainty import UncertaintyBudget as UncertaintyBudget
+from .budget.uncertainty import uncertainty_budget as uncertainty_budget
 from .claims.check import Result as Result
 from .claims.check import check_claim as check_claim
 from .claims.file import Claim as Claim

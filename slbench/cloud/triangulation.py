@@ -190,13 +190,51 @@ def triangulate(rig: Rig, phase: PhaseMap, meeting: Meeting = "ray") -> PointClo
     axes: tuple[Axis, ...] = tuple(phase.coordinate)
     v, u = np.nonzero(phase.mask)
     pixels = np.column_stack((u, v)).astype(np.int32)
-    points = np.full((len(pixels), 3), np.nan)
-    sensitivity = np.full((len(pixels), len(axes), 3), np.nan)
     panel = np.stack([phase.coordinate[axis][v, u] for axis in axes], axis=-1)
     sigma = np.stack([phase.sigma[axis][v, u] for axis in axes], axis=-1)
+    points, sensitivity = meet(rig, pixels, axes, panel, sigma, meeting)
+    with np.errstate(invalid="ignore"):  # parallel rays meet at infinities of either sign
+        good = np.isfinite(points.sum(axis=-1)) & np.isfinite(sensitivity.sum(axis=(1, 2)))
+    if not good.all():
+        points, pixels = points[good], pixels[good]
+        sigma, sensitivity = sigma[good], sensitivity[good]
+    return PointCloud(points, pixels, phase.mask.shape, axes, sigma, sensitivity)
+
+
+def meet(
+    rig: Rig,
+    pixels: NDArray[np.integer],
+    axes: tuple[Axis, ...],
+    panel: Array,
+    sigma: Array,
+    meeting: Meeting = "ray",
+) -> tuple[Array, Array]:
+    """Return the points of pixels, whatever of the image they are.
+
+    Parameters
+    ----------
+    rig : Rig
+    pixels : (N, 2) int
+        Camera pixels (u, v).
+    axes : tuple of "u", "v"
+        Coded axes, A of them.
+    panel, sigma : (N, A) float
+        Panel coordinates and their standard deviations, px.
+    meeting : {"ray", "nearest"}
+        As :func:`triangulate` has it.
+
+    Returns
+    -------
+    points : (N, 3) float
+        World coordinates, mm; not finite where rays do not meet in front of both devices.
+    sensitivity : (N, A, 3) float
+        Derivative of the point by the panel coordinates, mm/px.
+    """
+    points = np.full((len(pixels), 3), np.nan)
+    sensitivity = np.full((len(pixels), len(axes), 3), np.nan)
     for first in range(0, len(pixels), _POINTS_PER_PASS):
         part = slice(first, first + _POINTS_PER_PASS)
-        origins, directions = camera.unproject(pixels[part])
+        origins, directions = rig.camera.unproject(pixels[part])
         if len(axes) == 1:
             result = intersect_axis(rig.projector, origins, directions, panel[part, 0], axes[0])
             points[part], sensitivity[part, 0] = result
@@ -209,12 +247,7 @@ def triangulate(rig: Rig, phase: PhaseMap, meeting: Meeting = "ray") -> PointClo
                 own = sigma[part][:, order]
                 result = weighted_points(rig.projector, origins, directions, target, own)
             points[part], sensitivity[part] = result[0], result[1][:, order]
-    with np.errstate(invalid="ignore"):  # parallel rays meet at infinities of either sign
-        good = np.isfinite(points.sum(axis=-1)) & np.isfinite(sensitivity.sum(axis=(1, 2)))
-    if not good.all():
-        points, pixels = points[good], pixels[good]
-        sigma, sensitivity = sigma[good], sensitivity[good]
-    return PointCloud(points, pixels, phase.mask.shape, axes, sigma, sensitivity)
+    return points, sensitivity
 
 
 def intersect_axis(

@@ -27,7 +27,12 @@ from slbench.core.random import tagged_seed
 from slbench.core.show.display import brief
 from slbench.rig import Rig
 from slbench.rig.opencv import read_rig
-from slbench.rig.parameters import ParameterCovariance, moved, read_covariance
+from slbench.rig.parameters import (
+    ParameterCovariance,
+    covariance_beside,
+    moved,
+    read_covariance,
+)
 from slbench.scene.tables import CalibrationTable
 
 #: Tag of the random stream of errors.
@@ -46,6 +51,8 @@ class Calibration:
         Instead of any rig.
     covariance : ParameterCovariance or None
         Of the rig's parameters, from which its error is drawn.
+    beside : ParameterCovariance or None
+        What the rig's own file states of its parameters; nothing is drawn from it.
     seed : int
         Of the draw.
     redraw : bool
@@ -61,6 +68,7 @@ class Calibration:
     rig: Rig | None = None
     model: CalibrationModel | None = None
     covariance: ParameterCovariance | None = None
+    beside: ParameterCovariance | None = None
     seed: int = 0
     redraw: bool = False
     align: bool = False
@@ -107,8 +115,9 @@ class Calibration:
             changes["rig"] = self.rig.having(**{self.rig.only.camera: camera})
         if self.model is not None:
             changes["model"] = _coarser_model(self.model, divisor)
-        if self.covariance is not None:
-            changes["covariance"] = _coarser_covariance(self.covariance, divisor)
+        for name in ("covariance", "beside"):
+            if (own := getattr(self, name)) is not None:
+                changes[name] = _coarser_covariance(own, divisor)
         return replace(self, **changes)
 
 
@@ -172,11 +181,13 @@ def _read(
     table: CalibrationTable,
 ) -> Calibration:
     """Read the files of a calibration; `where` says of each what named it."""
-    rig = model = covariance = None
+    rig = model = covariance = beside = None
     words = [str(path.name) for path in files.values()]
     if "rig" in files:
         with located(where["rig"]):
             rig = read_rig(files["rig"], own.only)
+            if files["rig"].suffix.lower() in (".yaml", ".yml"):
+                beside = covariance_beside(files["rig"])
         _check_devices(rig, own, f"{where['rig']}: {files['rig'].name}")
         # Names of devices do not matter: the scene's are taken.
         pair = own.only
@@ -195,6 +206,7 @@ def _read(
         rig=rig,
         model=model,
         covariance=covariance,
+        beside=beside,
         seed=table.seed,
         redraw=table.redraw,
         align=table.align,

@@ -360,6 +360,8 @@ class SceneTables(Parameters):
     preview: PreviewTable = PreviewTable()
     # What the rig design needs of the hardware (slbench.design.rig.hardware); a scan does not.
     design: dict[str, Any] = Field(default_factory=dict)
+    # What an uncertainty budget needs beside the scene (slbench.bench.budget.inputs).
+    budget: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _devices(self) -> SceneTables:

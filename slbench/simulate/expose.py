@@ -100,7 +100,7 @@ def capture(
     done = 0
     for indices, radiance in radiance_batches(transport, sequence, rig.projector):
         if moves is not None:
-            _move(radiance, moves[indices // sequence.channels])
+            move_pictures(radiance, moves[indices // sequence.channels])
         frames[indices] = detector.expose(radiance, exposure_s, rng, noise, factor)
         done += len(indices)
         if on_progress:
@@ -172,8 +172,8 @@ def shutter_for(
     return Shutter(factor, factor / per_second if per_second else NOMINAL_EXPOSURE_S)
 
 
-def _move(frames: NDArray[np.float32], moves: NDArray[np.float64]) -> None:
-    """Shift each frame by a sub-pixel amount (n, 2), in place (edges repeat)."""
+def move_pictures(frames: NDArray[np.float32], moves: NDArray[np.float64]) -> None:
+    """Shift each frame (n, V, U) by a sub-pixel amount (n, 2), in place (edges repeat)."""
     for frame, (du, dv) in zip(frames, moves, strict=True):
         shifted = cv2.sepFilter2D(
             frame, -1, _shift_kernel(du), _shift_kernel(dv), borderType=cv2.BORDER_REPLICATE

@@ -122,6 +122,22 @@ class SparseRows:
             differences=differences,
         )
 
+    def chosen(self, rows: NDArray[np.intp]) -> SparseRows:
+        """Return some of the rows (k,), in the order given."""
+        counts = np.diff(self.indptr)[rows]
+        indptr = row_starts(counts)
+        # Each row's entries follow one another: where the row starts, and how far on.
+        within = np.arange(int(indptr[-1])) - np.repeat(indptr[:-1], counts)
+        entries = np.repeat(self.indptr[:-1][rows], counts) + within
+        differences = None if self.differences is None else self.differences[entries]
+        return replace(
+            self,
+            indptr=indptr,
+            indices=self.indices[entries],
+            data=self.data[entries],
+            differences=differences,
+        )
+
     def scaled(self, factors: NDArray[np.float64]) -> SparseRows:
         """Return the rows multiplied by `factors` (rows,)."""
         repeated = np.repeat(factors.astype(np.float32), np.diff(self.indptr))

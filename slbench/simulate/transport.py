@@ -218,6 +218,12 @@ class LightTransport:
         }
         return LightTransport(marginals, self.ambient[first:last], self.panel, self.samples)
 
+    def chosen(self, pixels: NDArray[np.intp]) -> LightTransport:
+        """Return the transport to some pixels (P,), flat indices, as an image of one row."""
+        marginals = {name: rows.chosen(pixels) for name, rows in self.marginals.items()}
+        ambient = self.ambient.reshape(1, -1)[:, pixels]
+        return LightTransport(marginals, ambient, self.panel, self.samples)
+
     def batches(
         self, n_frames: int, budget_bytes: int = 1 << 28, along: Marginal = "u"
     ) -> Iterator[slice]:

@@ -24,7 +24,7 @@ from slbench.patterns import NoiseModel, PatternSequence
 from slbench.rig import Camera, Lens, Pair, Pose, Projector, Rig
 from slbench.rig.opencv import write_rig
 from slbench.scene.model import Exposure, Scene, SceneObject
-from slbench.simulate.expose import _move
+from slbench.simulate.expose import move_pictures
 from slbench.simulate.transport import LightTransport
 
 SHAPE = (48, 64)  # camera rows, columns
@@ -291,7 +291,7 @@ def test_pictures_move_by_what_was_drawn(sigma):
 
     frames = np.stack([picture(0, 0)] * 4).astype(np.float32)
     shifts = np.random.default_rng(1).normal(0.0, sigma, (4, 2))
-    _move(frames, shifts)
+    move_pictures(frames, shifts)
     inner = np.s_[20:-20, 20:-20]
     for frame, (du, dv) in zip(frames, shifts, strict=True):
         still = np.abs(picture(0, 0) - picture(du, dv))[inner].max()

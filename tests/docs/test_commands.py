@@ -57,6 +57,8 @@ INSTEAD = {
     ),
     # A focus stack at a quarter of the width is 16 times the work of its preview.
     "--divisor 4": "--divisor 8",
+    # A tenth of a minute and a half.
+    "--draws 2000": "--draws 200",
 }
 
 #: Pages whose commands take a second or two.
@@ -117,6 +119,16 @@ def claims(path):
     path.write_text(text.replace("[[claim]]\n", "[[claim]]\nrepeats = 2\n"), encoding="utf-8")
 
 
+def uncertain_inputs(path):
+    """Write the budget file that the page on uncertainty shows."""
+    (text,) = (
+        match[3]
+        for match in FENCE.finditer(text_of(DOCS / "how-to" / "uncertainty.md"))
+        if match[3].startswith(f"# {path.name}\n")
+    )
+    path.write_text(text, encoding="utf-8")
+
+
 def own_codes(path):
     """Write the Python file that the page on codes of one's own shows."""
     (code, _) = (
@@ -151,6 +163,7 @@ GIVEN = {
     ),
     "noise.csv": noise_table,
     "accuracy.claims.toml": claims,
+    "budget.toml": uncertain_inputs,
     "mine.py": own_codes,
     "photographs": photographs,
     "data": data_set,

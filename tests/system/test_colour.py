@@ -64,7 +64,7 @@ def test_deviations_are_predicted(text):
 
 def test_channels_of_a_picture_move_together(monkeypatch):
     moves = []
-    monkeypatch.setattr(expose, "_move", lambda frames, given: moves.append(given))
+    monkeypatch.setattr(expose, "move_pictures", lambda frames, given: moves.append(given))
     scene = coloured()
     shaken = replace(scene, exposure=replace(scene.exposure, vibration_px=0.5))
     capture(shaken, transport_of("plane"), seed=2)

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.bench.budget.certificate import UNCERTAINTY_FILES
 from slbench.bench.budget.sources import (
     VIBRATION_REPEATS,
     Kind,
@@ -46,7 +47,7 @@ from slbench.simulate.lights import Lights
 
 Array = NDArray[np.float64]
 
-BUDGET_FOLDER = OutputFolder("budget", ("budget.csv", "budget.json", "budget.png"))
+BUDGET_FOLDER = OutputFolder("budget", UNCERTAINTY_FILES)
 _WHOLE = "the scene as it is"
 
 

@@ -205,14 +205,21 @@ def unknown(where: str, text: str, known: Iterable[str]) -> InputError:
     return InputError(where, f"a quantity that there is, such as {', '.join(near)}", repr(text))
 
 
-def features_of(scene: Scene) -> tuple[Feature, ...]:
-    """Return the features that the artefacts of a scene have, measured or not."""
-    found: list[Feature] = []
+def owners_of(scene: Scene) -> tuple[str, ...]:
+    """Return what quantities call the objects of a scene, in their order."""
     seen: dict[str, int] = {}
+    found = []
     for item in scene.objects:
         name = item.artefact.name
         seen[name] = seen.get(name, 0) + 1
-        owner = name if seen[name] == 1 else f"{name}#{seen[name]}"
+        found.append(name if seen[name] == 1 else f"{name}#{seen[name]}")
+    return tuple(found)
+
+
+def features_of(scene: Scene) -> tuple[Feature, ...]:
+    """Return the features that the artefacts of a scene have, measured or not."""
+    found: list[Feature] = []
+    for item, owner in zip(scene.objects, owners_of(scene), strict=True):
         faces = item.artefact.planes
         found += [Feature("plane", owner, face.name, None) for face in faces]
         if any(face.name == REFERENCE for face in faces):

@@ -32,7 +32,9 @@ __all__ = [
     "Confidence",
     "Coordinate",
     "Count",
+    "Digits",
     "Distortion",
+    "Draws",
     "Finite",
     "Fraction",
     "Frames",
@@ -172,6 +174,10 @@ Whole = Annotated[int, Interval(ge=0, le=2**63 - 1)]
 Count = Annotated[int, Interval(ge=1, le=10_000_000)]
 #: Of a measurement: at least two, to see noise.
 Repeats = Annotated[int, Interval(ge=2, le=10_000)]
+#: Draws of a Monte Carlo method: enough for an interval, not more than memory holds.
+Draws = Annotated[int, Interval(ge=100, le=1_000_000)]
+#: Significant digits of an uncertainty.
+Digits = Annotated[int, Interval(ge=1, le=2)]
 #: Pixels along a side.
 Pixels = Annotated[int, Interval(ge=1, le=65536)]
 #: Of a panel that fringes are designed for: a fringe takes three.

@@ -17,6 +17,7 @@ DRAWERS: dict[str, str] = {
     "slbench.twin.twin:Twin": "slbench.report.plots.twin:draw",
     "slbench.bench.compare.comparison:Comparison": "slbench.report.pages.compare:draw",
     "slbench.bench.budget.budget:Budget": "slbench.report.plots.budget:draw",
+    "slbench.bench.budget.uncertainty:UncertaintyBudget": "slbench.report.plots.uncertainty:draw",
     "slbench.bench.diagnose.diagnosis:Diagnosis": "slbench.report.plots.diagnose:draw",
     "slbench.bench.sweep.sweep:Sweep": "slbench.report.plots.sweep:draw",
 }

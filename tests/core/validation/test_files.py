@@ -15,6 +15,7 @@ import pytest
 from refusals import required, tables
 
 import slbench
+from slbench.bench.budget.inputs import BudgetTable
 from slbench.bench.claims import baseline, file
 from slbench.calibration.models import model as calibration
 from slbench.capture.capture import CaptureTable
@@ -76,6 +77,15 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
     (Distribution, {"uniform": [0.5, 0.9], "name": "level"}),
     (hardware._HardwareFile, read_merged(resources.find("scenes", "hardware/macro-ch6"))),
     (hardware._Volume, {"volume_mm": [60.0, 70.0, 30.0]}),
+    (
+        BudgetTable,
+        {
+            "coverage": 0.9,
+            "inputs": [
+                {"name": "certificate", "distribution": "normal", "standard_uncertainty": 1e-3}
+            ],
+        },
+    ),
     (file._File, {"claim": [{"name": "flat"}]}),
     (file._Claim, {"name": "flat", "scene": "plane", "quantity": "plane.rms_mm", "max": 0.1}),
     (
