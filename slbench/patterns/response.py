@@ -1,4 +1,4 @@
-r"""A projector's response taken out of frames of fringes.
+r"""A projector's response taken out of frames of codes that repeat themselves.
 
 What a projector makes of a value ``v`` is ``r(v)``, its exponent gamma or a measured curve.  Of a
 set of shifted fringes the camera sees ``a + g r(s_k(phi))``, ``s_k = 1/2 + 1/2 cos(phi - e_k)``,
@@ -7,9 +7,15 @@ and the phase by least squares is off by a known function of the phase alone (K.
 Its inverse gives the phase, the modulation gives ``g``, and ``g (r(s_k) - s_k)`` is taken from the
 frames: they are then those of a linear projector, with the noise that they had.  Blur takes
 harmonics before contrast: where fringes are seen blurred, less is to be taken out than this does.
+
+So it is of other codes of a period whose place is told by their own frames alone: trapezoids, or a
+sine, a cosine and their mean.  What their estimate is off by is a function of the place alone, too.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,25 +25,33 @@ from slbench.rig.optics.response import Response
 
 Array = NDArray[np.float64]
 
-#: Places of a table over one fringe.
-_PLACES = 4096
-#: Slope of the seen phase over the true one below which noise is all that tells them.
-_LEAST_SLOPE = 0.05
+#: Parts of a period that a code's values are tabulated at.
+PLACES = 4096
+#: Slope of the seen place over the true one below which noise is all that tells them, share of a
+#: period that may have so little (a trapezoid's foot, by a gamma), and rounding of a slope.
+_LEAST_SLOPE, _LOST, _ROUNDING = 0.05, 0.1, 1e-6
 #: Pixels at a time.
 _BLOCK = 1 << 18
 
 
 def straightened(
-    frames: NDArray[np.generic], steps: Array, response: Response, saturation: float
+    frames: NDArray[np.generic],
+    shown: Array,
+    estimate: Callable[[NDArray[Any]], tuple[NDArray[Any], NDArray[Any]]],
+    response: Response,
+    saturation: float,
 ) -> NDArray[np.float32]:
-    """Return frames of a fringe set as a linear projector would have made them.
+    """Return frames of a code of equal periods as a linear projector would have made them.
 
     Parameters
     ----------
     frames : (N, P)
         DN.
-    steps : (N,) float
-        Shifts e_k, rad.
+    shown : (N, M) float
+        Panel values at the middles of M equal parts of a period, in [0, 1].
+    estimate : callable
+        ``estimate(frames)`` returns of (N, K) frames where in the period each of K pixels is, in
+        turns, and its modulation, which is proportional to the frames' gain.
     response : Response
     saturation : float
         Pixels with a value at or above it are left as they are.
@@ -45,35 +59,32 @@ def straightened(
     Raises
     ------
     InputError
-        For a response so steep that two phases look alike by these shifts.
+        For a response so steep that two places look alike in these frames.
     """
-    count = len(steps)
-    design = np.stack([np.cos(steps), np.sin(steps), np.ones(count)], axis=1)
-    weights = np.linalg.pinv(design)[:2]
-    phase = 2.0 * np.pi * np.arange(_PLACES) / _PLACES
-    shown = 0.5 + 0.5 * np.cos(phase - steps[:, np.newaxis])
+    count, parts = shown.shape
+    places = (np.arange(parts) + 0.5) / parts
     light = response.light(np.clip(shown, 0.0, 1.0))
-    seen = weights @ light
-    size = np.hypot(*seen)
-    turned = np.unwrap(np.arctan2(seen[1], seen[0]))
-    slope = np.diff(turned, append=turned[0] + 2.0 * np.pi) * (_PLACES / (2.0 * np.pi))
-    if np.any(slope < _LEAST_SLOPE):
-        expected = f"fringes of more than {count} shifts for so steep a response"
-        raise InputError("response", expected, f"{count} shifts, by which two phases look alike")
-    extended = np.concatenate([turned - 2.0 * np.pi, turned, turned + 2.0 * np.pi])
-    phases = np.concatenate([phase - 2.0 * np.pi, phase, phase + 2.0 * np.pi])
+    seen, size = (np.asarray(one, np.float64) for one in estimate(np.ascontiguousarray(light)))
+    turned = np.unwrap(seen, period=1.0)
+    slope = np.diff(turned, append=turned[0] + 1.0) * parts
+    if slope.min() < -_ROUNDING or np.mean(slope < _LEAST_SLOPE) > _LOST:
+        expected = f"more frames than {count} for so steep a response, as of more shifts"
+        raise InputError("response", expected, f"{count}, by which two phases look alike")
+    extended = np.concatenate([turned - 1.0, turned, turned + 1.0])
+    true_places = np.concatenate([places - 1.0, places, places + 1.0])
     more = light - shown
     result = frames.astype(np.float32)
+    least = np.nextafter(np.float32(saturation), np.float32(-np.inf))
     for first in range(0, result.shape[1], _BLOCK):
         own = result[:, first : first + _BLOCK]
-        c, s = weights @ own
-        true = np.mod(np.interp(np.arctan2(s, c), extended, phases), 2.0 * np.pi)
-        gain = np.hypot(c, s) / np.interp(true, phase, size, period=2.0 * np.pi)
+        turns, modulation = estimate(np.ascontiguousarray(own))
+        turns = turned[0] + np.mod(turns - turned[0], 1.0)
+        true = np.mod(np.interp(turns, extended, true_places), 1.0)
+        gain = modulation / np.interp(true, places, size, period=1.0)
         good = np.isfinite(gain) & (own < saturation).all(axis=0)
         gain = np.where(good, gain, 0.0)
-        least = np.nextafter(np.float32(saturation), np.float32(-np.inf))
         for k in range(count):
-            moved = own[k] - gain * np.interp(true, phase, more[k], period=2.0 * np.pi)
+            moved = own[k] - gain * np.interp(true, places, more[k], period=1.0)
             # What was not saturated is not made so.
             own[k] = np.where(good, np.minimum(moved, least), own[k])
     return result

@@ -1,5 +1,7 @@
 """A projector's known response is taken out of fringes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from slbench.capture.shown import pictures
 from slbench.core.errors import InputError
 from slbench.core.io import write_table
 from slbench.patterns import NoiseModel, PatternSequence, Response, decode
+from slbench.patterns.codes.periodic import PeriodicCode
 from slbench.patterns.images import Images
 
 PANEL = (640, 480)
@@ -38,6 +41,10 @@ def frames_of(text, response, *, axis="u", black=10.0, gain=200.0, sequence=None
             count = frame.part.fringe_count(PANEL)
             angle = 2.0 * np.pi * count * (places + 0.5) / size
             profile = 0.5 + 0.5 * np.cos(angle - frame.part.steps(size)[frame.index])
+        elif isinstance(frame.part, PeriodicCode):
+            turns = np.mod(frame.part.count * (places + 0.5) / size, 1.0)
+            fine = replace(frame.part, count=1.0).profile(frame.index, 1 << 18)
+            profile = np.interp(turns * (1 << 18) - 0.5, np.arange(1 << 18), fine)
         else:
             profile = profile[np.rint(places).astype(int)]
         frames.append(black + gain * response.light(np.clip(profile, 0.0, 1.0)))
@@ -56,6 +63,24 @@ def test_a_known_response_leaves_no_error(name, text, axis):
     # Single precision of 200 DN: 1e-5 of 1/16 of the panel; linear between 4,096 places.
     assert np.max(np.abs(found - places)) < 2e-3
     if name != "linear" and text == "gray+16@3":
+        bent = decode(frames, sequence, saturation=1e9).coordinate[axis][0]
+        assert np.nanstd(bent - places) > 0.1
+
+
+@pytest.mark.parametrize("name", RESPONSES)
+@pytest.mark.parametrize(
+    ("text", "axis"), [("gray+trapezoid8", "u"), ("gray+two-plus-one16", "v"), ("trapezoid1", "u")]
+)
+def test_a_known_response_leaves_no_error_of_codes_that_are_not_shifted_fringes(name, text, axis):
+    response = RESPONSES[name]
+    frames, sequence, places = frames_of(text, response, axis=axis)
+    found = decode(frames, sequence, response=response, saturation=1e9).coordinate[axis][0]
+    # As above, of an eighth of the panel or all of it: single precision of 200 DN and linear
+    # between 4,096 places, of which a corner may be one.
+    error = np.abs(found - places) / (640.0 if text == "trapezoid1" else 80.0)
+    assert np.nanmax(error) < 5e-4
+    assert np.isfinite(found).mean() > 0.99
+    if name == "gamma 2.2":
         bent = decode(frames, sequence, saturation=1e9).coordinate[axis][0]
         assert np.nanstd(bent - places) > 0.1
 
@@ -88,9 +113,9 @@ def test_too_steep_a_response_is_refused():
 
 
 def test_codes_of_grey_are_refused_and_black_and_white_is_not():
-    sequence = PatternSequence.parse("gray+trapezoid8", PANEL)
+    sequence = PatternSequence.parse("gray+modulated8@3", PANEL)
     frames = np.full((sequence.n_frames, 4, 4), 100.0)
-    with pytest.raises(InputError, match="trapezoid"):
+    with pytest.raises(InputError, match="modulated"):
         decode(frames, sequence, response=Response(2.2))
     gray = PatternSequence.parse("gray", PANEL)
     decode(np.full((gray.n_frames, 4, 4), 100.0), gray, response=Response(2.2))

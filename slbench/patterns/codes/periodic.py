@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import ClassVar, Self, cast
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,10 @@ from slbench.patterns.base import (
     Run,
     extent,
 )
+from slbench.patterns.noise import NoiseModel
 from slbench.patterns.phase import unwrap_spatially
+from slbench.patterns.response import PLACES, straightened
+from slbench.rig.optics.response import Response
 
 #: Three pixels a period are the least that carry amplitude, phase and mean.
 MIN_PIXELS_PER_PERIOD = 3
@@ -65,6 +68,8 @@ class PeriodicCode(Code):
     """
 
     refines: ClassVar[bool] = True
+    #: Whether the code's own frames tell the place, whatever their gain and offset.
+    alone: ClassVar[bool] = False
 
     count: FringeNumber
     axis: Axis = "u"
@@ -87,6 +92,42 @@ class PeriodicCode(Code):
         if self.count > most:
             name = type(self).__name__
             raise InputError(f"{name}: count", f"at most {most:.4g}", f"{self.count:g}")
+
+    def straightened(
+        self, frames: NDArray[Any], panel: Panel, response: Response, saturation: float
+    ) -> NDArray[Any]:
+        """Return the code's frames, (N, P), as a linear projector would have made them.
+
+        Raises
+        ------
+        InputError
+            For a code that other frames than its own decode, and a response so steep that two
+            places look alike.
+        """
+        if not self.alone:
+            return super().straightened(frames, panel, response, saturation)
+        period, count = replace(self, count=1.0), self.n_frames(panel)
+        placed = Placed(0, period, range(count))
+
+        def estimate(values: NDArray[Any]) -> tuple[FloatArray, AnyFloatArray]:
+            observed = Observed(
+                pixels=values,
+                shape=(1, values.shape[1]),
+                panel=panel,
+                codes=(placed,),
+                noise=NoiseModel(),
+                saturation=np.inf,
+                min_modulation=0.0,
+                min_snr=0.0,
+                max_order_residual=0.5,
+                keep_relative=False,
+                keep_evidence=False,
+            )
+            own = period.estimate(placed, observed)
+            return own.turns, own.modulation
+
+        shown = np.stack([period.profile(k, PLACES) for k in range(count)])
+        return straightened(frames, shown, estimate, response, saturation)
 
     @classmethod
     def read_word(cls, word: str, axis: Axis, shifts: int) -> list[Self] | None:

@@ -44,6 +44,7 @@ class Trapezoidal(PeriodicCode):
 
     kind: ClassVar[str] = "trapezoid"
     words: ClassVar[tuple[str, ...]] = ("trapezoid1",)
+    alone: ClassVar[bool] = True
 
     def n_frames(self, panel: Panel) -> int:
         """Return 3, whatever the panel."""

@@ -47,6 +47,7 @@ class TwoPlusOne(PeriodicCode):
 
     kind: ClassVar[str] = "two-plus-one"
     words: ClassVar[tuple[str, ...]] = ("two-plus-one16",)
+    alone: ClassVar[bool] = True
 
     def n_frames(self, panel: Panel) -> int:
         """Return 3, whatever the panel."""

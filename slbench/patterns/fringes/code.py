@@ -36,7 +36,7 @@ from slbench.core.validation.types import (
 )
 from slbench.patterns.base import Axis, Code, FloatArray, Found, Observed, Panel, Run, extent
 from slbench.patterns.phase import relative_phase
-from slbench.patterns.response import straightened
+from slbench.patterns.response import PLACES, straightened
 from slbench.rig.optics.response import Response
 
 MIN_SHIFTS = 3
@@ -243,7 +243,17 @@ class Fringes(Code):
         InputError
             For a response so steep that two phases look alike by so few shifts.
         """
-        return straightened(frames, self.steps(extent(panel, self.axis)), response, saturation)
+        steps = self.steps(extent(panel, self.axis))
+        design = np.stack([np.cos(steps), np.sin(steps), np.ones(len(steps))], axis=1)
+        weights = np.linalg.pinv(design)[:2]
+
+        def estimate(values: NDArray[Any]) -> tuple[FloatArray, FloatArray]:
+            c, s = weights @ values
+            return np.arctan2(s, c) / (2.0 * np.pi), np.hypot(c, s)
+
+        phase = 2.0 * np.pi * (np.arange(PLACES) + 0.5) / PLACES
+        shown = 0.5 + 0.5 * np.cos(phase - steps[:, np.newaxis])
+        return straightened(frames, shown, estimate, response, saturation)
 
     @classmethod
     def check_run(cls, run: Run, before: Sequence[Run]) -> None:
