@@ -111,6 +111,24 @@ def undistorted(x, y, coefficients, fold2):  # type: ignore[no-untyped-def]
     return np.nan, np.nan, a, b, c, d
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def first_lost(radii, cosines, sines, k):  # type: ignore[no-untyped-def]
+    """Return which of ascending radii is lost first, in any direction; their number if none is.
+
+    Lost is where the Jacobian's determinant or the denominator is not positive.
+    """
+    for i in range(len(radii)):
+        r = radii[i]
+        r2 = r * r
+        if len(k) > 5 and not 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])) > 0.0:
+            return i
+        for j in range(len(cosines)):
+            _, _, a, b, c, d = distorted(r * cosines[j], r * sines[j], k)
+            if not a * d - b * c > 0.0:
+                return i
+    return len(radii)
+
+
 @njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 def distort_all(points, coefficients, fold2, result, jacobian):  # type: ignore[no-untyped-def]
     """Fill the distorted coordinates (n, 2) of points (n, 2), and Jacobians by rows (n, 4)."""

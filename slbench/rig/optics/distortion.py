@@ -22,8 +22,6 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.rig.coefficients import distorted
-
 Array = NDArray[np.float64]
 
 #: Directions in which the fold is looked for; without tangential terms it is a circle.
@@ -52,27 +50,19 @@ def fold_radius(coefficients: ArrayLike) -> float:
 
 @lru_cache(maxsize=64)
 def _fold_radius(k: tuple[float, ...]) -> float:
+    from slbench.rig.kernels import first_lost
+
     round_about = any((*k[2:4], *k[8:]))
-    angle = 2.0 * np.pi * np.arange(_DIRECTIONS if round_about else 1)[:, None] / _DIRECTIONS
-    cosine, sine = np.cos(angle), np.sin(angle)
-
-    def lost(r: Array) -> NDArray[np.bool_]:
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            _, _, a, b, c, d = distorted(r * cosine, r * sine, k)
-            within = a * d - b * c > 0.0
-        if len(k) > 5:
-            r2 = r * r
-            within &= 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7])) > 0.0
-        return np.any(~within, axis=0)
-
-    radii = np.linspace(0.0, _FARTHEST, _STEPS)
-    beyond = np.flatnonzero(lost(radii))
-    if beyond.size == 0:
+    angle = 2.0 * np.pi * np.arange(_DIRECTIONS if round_about else 1) / _DIRECTIONS
+    radii, around = np.linspace(0.0, _FARTHEST, _STEPS), (np.cos(angle), np.sin(angle))
+    coefficients = np.array(k)
+    beyond = first_lost(radii, *around, coefficients)
+    if beyond == len(radii):
         return float("inf")
-    low, high = radii[beyond[0] - 1], radii[beyond[0]]
+    low, high = radii[beyond - 1], radii[beyond]
     for _ in range(60):
         middle = 0.5 * (low + high)
-        if lost(np.array([middle]))[0]:
+        if first_lost(np.array([middle]), *around, coefficients) == 0:
             high = middle
         else:
             low = middle
