@@ -16,6 +16,10 @@ from typing import Any
 
 #: Names of the coefficients, in OpenCV's order.
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "s1", "s2", "s3", "s4")
+#: Powers of the radius that they go with, relative to the radius itself.
+POWERS = dict(zip(COEFFICIENTS, (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3), strict=True))
+#: Those of a rational lens's denominator.
+DENOMINATOR = ("k4", "k5", "k6")
 #: How many of them a lens has here: plain, rational, with a thin prism.
 _COUNTS = (5, 8, 12)
 

@@ -45,11 +45,11 @@ Array = NDArray[np.float64]
 ROLES = ("camera", "projector")
 LENS = ("fx_px", "fy_px", "cx_px", "cy_px")
 TILT = ("tau_x_rad", "tau_y_rad")
-_TURN = ("rx_rad", "ry_rad", "rz_rad")
+TURN = ("rx_rad", "ry_rad", "rz_rad")
 SHIFT = ("tx_mm", "ty_mm", "tz_mm")
 #: Parameters of a device's lens and panel, of its pose, and all of them.
 OPTICS = (*LENS, *COEFFICIENTS, *TILT)
-POSE = (*_TURN, *SHIFT)
+POSE = (*TURN, *SHIFT)
 DEVICE_PARAMETERS = (*OPTICS, *POSE)
 #: Parameters of a rig of one camera and one projector.
 RIG_PARAMETERS = tuple(f"{role}.{name}" for role in ROLES for name in DEVICE_PARAMETERS)
@@ -223,7 +223,7 @@ def _moved(device: Any, error: Mapping[str, float]) -> Camera | Projector:
 
     own = optics_of(device)
     fx, fy, cx, cy, *distortion = (own.get(name, 0.0) + error[name] for name in OPTICS)
-    turn, shift = ([error[name] for name in names] for names in (_TURN, SHIFT))
+    turn, shift = ([error[name] for name in names] for names in (TURN, SHIFT))
     # The pixel's width stays, its height takes up the difference, as in a file of OpenCV's.
     focal = fx * device.pitch_mm[0]
     rotation, position = device.pose.rotation, device.pose.position

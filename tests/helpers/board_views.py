@@ -1,6 +1,7 @@
 """Views of a board made by exact projection: what a detector and a decoder would have found."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -103,4 +104,34 @@ def projected_views(rig: Rig, count: int = 12, seed: int | None = None, **option
     return [
         projected_view(rig, pose, f"pose{k:02d}", rng=rng, **options)
         for k, pose in enumerate(free_poses(count))
+    ]
+
+
+#: A lens of 110 degrees across that is nearly equidistant (``r = atan(R)``), and beyond Brown.
+WIDE = (0.8943, 0.1549, 4e-4, -3e-4, 0.0027, 1.2276, 0.3644, 0.0205)
+WIDE_BOARD = FreeBoard(kind="chequerboard", columns=7, rows=6, pitch_mm=45.0)
+
+
+def wide_rig(camera: Sequence[float] = WIDE) -> Rig:
+    """Return the macro rig with lenses of a wide angle, of which the camera's is distorted."""
+    rig = macro_rig(camera)
+    return rig.having(
+        camera=replace(rig.camera, lens=Lens(3.2)),
+        projector=replace(rig.projector, lens=Lens(4.0), distortion=(0.0,) * 5),
+    )
+
+
+def wide_views(rig: Rig, count: int = 10, seed: int | None = None) -> list[BoardView]:
+    """Return views of a board in poses all over a wide picture, without errors or with a seed's."""
+    rng = None if seed is None else np.random.default_rng(seed)
+    across = np.random.default_rng(0).uniform(-1.0, 1.0, (count, 2)) * [420.0, 290.0]
+    return [
+        projected_view(
+            rig,
+            Pose(pose.rotation, np.array([*place, pose.position[2]])),
+            f"pose{k:02d}",
+            board=WIDE_BOARD,
+            rng=rng,
+        )
+        for k, (pose, place) in enumerate(zip(free_poses(count), across, strict=True))
     ]

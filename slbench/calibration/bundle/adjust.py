@@ -31,10 +31,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from slbench.calibration.bundle.prior import Prior
+from slbench.calibration.bundle.prior import Denominators, Prior
 from slbench.calibration.bundle.views import BoardView
 from slbench.calibration.scales import GROSS, NORMAL_MAD
 from slbench.rig import Pose, Rig
+from slbench.rig.coefficients import DENOMINATOR, POWERS
 from slbench.rig.parameters import moved
 
 Array = NDArray[np.float64]
@@ -56,6 +57,10 @@ _NOISY_POSE = 1.5
 _NOISIEST_POSE = 30.0
 #: Step of central differences, as a share of a parameter's size.
 _STEP = 1e-5
+#: They are solved for again where they fall below this share of what they were.
+_FALLS = 0.5
+#: Factors of the deviations are settled where they change by less than this share.
+_RESTED = 0.1
 #: Least factor of the deviations: exact points are off by rounding.
 _LEAST_SCALE = 1e-4
 
@@ -115,11 +120,8 @@ def derivatives(
     )
     by_rig = np.zeros((len(world), 4, len(names)))
     for k, name in enumerate(names):
-        role = name.partition(".")[0]
-        step = _STEP * _size_of(rig, name)
-        plus, minus = (getattr(moved(rig, {name: s * step}), role) for s in (1.0, -1.0))
-        columns = slice(0, 2) if role == "camera" else slice(2, 4)
-        by_rig[:, columns, k] = (minus.project(world) - plus.project(world)) / (2.0 * step)
+        columns = slice(0, 2) if name.startswith("camera.") else slice(2, 4)
+        by_rig[:, columns, k] = -pixels_by(rig, name, world)
     _, camera = rig.camera.project_with_jacobian(world)
     _, panel = rig.projector.project_with_jacobian(world)
     parts = []
@@ -134,6 +136,14 @@ def derivatives(
             block[:, 2:] /= view.panel_sd[:, :, None]
         parts.append((own, by_pose))
     return parts
+
+
+def pixels_by(rig: Rig, name: str, world: Array) -> Array:
+    """Return derivatives (n, 2) of where a parameter's own device has points (n, 3), px."""
+    role = name.partition(".")[0]
+    step = _STEP * _size_of(rig, name)
+    plus, minus = (getattr(moved(rig, {name: s * step}), role) for s in (1.0, -1.0))
+    return np.asarray((plus.project(world) - minus.project(world)) / (2.0 * step))
 
 
 def _place_by_pose(pose: Pose, local: Array) -> Array:
@@ -155,8 +165,11 @@ def _size_of(rig: Rig, name: str) -> float:
         return float(device.matrix[0, 0])
     if own.endswith("_mm"):
         return max(float(np.linalg.norm(rig.projector.pose.position)), 1.0)
-    # Pixels are linear in distortion: rounding alone limits its step.
-    return 1.0 if own.endswith("_rad") else 100.0
+    if own.endswith("_rad"):
+        return 1.0
+    # A tenth of what moves a pixel in the picture's corner by as much as it is off the axis.
+    radius = float(np.hypot(device.width, device.height) / (2.0 * device.matrix[0, 0]))
+    return float(0.1 / radius ** POWERS[own])
 
 
 def turned(pose: Pose, change: Array) -> Pose:
@@ -186,16 +199,28 @@ def adjust(
     kept : sequence of (n,) bool
         Points of each view to begin with.
     prior : Prior, optional
-        What was known of the rig before.
+        What was known of the rig before; by default nothing, but for denominators of lenses.
     """
     state = Adjusted(rig=rig, poses=tuple(poses), kept=tuple(kept), scales=np.ones((len(views), 2)))
-    state = _scaled(views, _solved(views, state, names, prior, robust=True))
+    # A polynomial first: from far away an adjustment may lose its way to a rational lens.
+    first = [name for name in names if name.partition(".")[2] not in DENOMINATOR]
+    # Where the start is far off, so is the scale of the residuals: it falls from step to step.
+    scales = np.full_like(state.scales, np.inf)
+    state = _scaled(views, state)
+    while np.any(state.scales < _FALLS * scales):
+        scales = state.scales
+        state = _scaled(views, _solved(views, state, first, prior, robust=True))
+    before = prior or Denominators.of(state.rig, names)
+    rested = False
     for round_ in range(_ROUNDS):
         new = _judged(views, state)
-        if all(np.array_equal(a, b) for a, b in zip(new, state.kept, strict=True)) and round_ > 1:
+        same = all(np.array_equal(a, b) for a, b in zip(new, state.kept, strict=True))
+        if same and rested and round_ > 1:
             break
-        state = _solved(views, replace(state, kept=new), names, prior, robust=round_ == 0)
+        scales = state.scales
+        state = _solved(views, replace(state, kept=new), names, before, robust=round_ == 0)
         state = _scaled(views, state)
+        rested = np.allclose(state.scales, scales, rtol=_RESTED)
     return state
 
 
@@ -203,13 +228,13 @@ def _solved(
     views: Sequence[BoardView],
     state: Adjusted,
     names: Sequence[str],
-    prior: Prior | None,
+    prior: Prior | Denominators | None,
     robust: bool,
 ) -> Adjusted:
     """Minimise over the points that are kept, with Cauchy's loss or squares."""
     count = len(names)
     size = count + 6 * len(views)
-    known = 0 if prior is None else len(prior.covariance.names)
+    known = 0 if prior is None else len(prior)
     parts = [_weights(state, k)[state.kept[k]] for k in range(len(views))]
     some = [_select(view, mask) for view, mask in zip(views, state.kept, strict=True)]
 
@@ -246,7 +271,7 @@ def _solved(
             block[..., count + 6 * k : count + 6 * k + 6] = by_pose
             rows.append((block * weight[..., None]).reshape(-1, size))
         if prior is not None:
-            rows.append(np.pad(prior.derivatives(names), ((0, 0), (0, size - count))))
+            rows.append(np.pad(prior.derivatives(names, rig), ((0, 0), (0, size - count))))
         # Where a point is beyond a fold or behind a device, no step is told.
         return np.nan_to_num(np.concatenate(rows), nan=0.0, posinf=0.0, neginf=0.0)
 

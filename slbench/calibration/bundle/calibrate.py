@@ -226,6 +226,10 @@ class BoardCalibration:
             "pixel_um": pixel and dict(zip(("value", "std"), pixel, strict=True)),
             "converged": self.converged,
             "undetermined": self.known.undetermined,
+            "distortion_std_px": {
+                role: {"seen": one.seen_px, "picture": one.picture_px, "together": one.together}
+                for role, one in self.known.distortion.items()
+            },
             "agreement": {
                 role: {**asdict(one), "most": one.most} for role, one in self.agreement.items()
             },
@@ -354,7 +358,7 @@ def calibrated(
     models, fixed, world
         As of :class:`BoardCalibration` and :func:`calibrate_boards`.
     prior : Prior, optional
-        What was known of the parameters before.
+        What was known of the parameters before; by default nothing.
 
     Raises
     ------

@@ -1,8 +1,10 @@
 """Which parameters of a device are fitted: its camera model, and what is fixed of it.
 
 Those of central devices are nested.  ``plain`` is a pinhole; ``radial`` has k1 and k2; ``brown``
-adds p1, p2 and k3 (D. C. Brown, 1971).  A sensor's tilt is not fitted: to first order it is the
-tangential distortion of ``brown``, and a shift of the centre; boards hardly tell them apart.
+adds p1, p2 and k3 (D. C. Brown, 1971); ``rational`` adds k4, k5 and k6 for wide angles (D. Claus
+and A. Fitzgibbon, 2005), which are told together only (:mod:`~slbench.calibration.bundle.field`).
+A sensor's tilt is not fitted: to first order it is the tangential distortion of ``brown``, and a
+shift of the centre; boards hardly tell them apart.  Nor is a thin prism.  Both may be stated.
 
 ``telecentric`` is a camera with parallel rays (B. Li and S. Zhang, "Flexible calibration method for
 microscopic structured light system using telecentric lens", Opt. Express 23(20), 2015): a
@@ -21,11 +23,13 @@ from slbench.rig.parameters import LENS, OPTICS, POSE, ROLES
 
 FOCAL = ("fx_px", "fy_px")
 _RADIAL = ("k1", "k2")
+_BROWN = (*_RADIAL, "p1", "p2", "k3")
 #: Parameters of a device's model, beside focal lengths and centre.
 DEVICE_MODELS: dict[str, tuple[str, ...]] = {
     "plain": (),
     "radial": _RADIAL,
-    "brown": (*_RADIAL, "p1", "p2", "k3"),
+    "brown": _BROWN,
+    "rational": (*_BROWN, "k4", "k5", "k6"),
 }
 TELECENTRIC = "telecentric"
 #: Those of cameras.

@@ -8,6 +8,7 @@ import numpy as np
 
 from slbench.calibration.bundle.agreement import Agreement
 from slbench.calibration.bundle.calibrate import BoardCalibration
+from slbench.calibration.bundle.field import DistortionField
 from slbench.core.errors import InputError
 from slbench.core.show.document import Cell, Table
 from slbench.rig.parameters import ROLES
@@ -95,6 +96,7 @@ def sentences(found: BoardCalibration) -> list[str]:
             f"predicted deviation of points by the calibration (axis {found.axis}, median through "
             f"the boards' volume): {place}; of their shape, after a rigid motion: {shape}"
         )
+    told += [_distortion(role, field) for role, field in found.known.distortion.items()]
     for role, square in found.known.chi_square.items():
         ratio = square**0.5
         text = f"{_WORDS[role]} scatter {ratio:.3g} times as much as their noise predicts"
@@ -106,6 +108,19 @@ def sentences(found: BoardCalibration) -> list[str]:
             "independent points would; deviations are widened"
         )
     return told
+
+
+def _distortion(role: str, field: DistortionField) -> str:
+    """Say how well a device's distortion is known, and which coefficients are not each."""
+    text = (
+        f"distortion of the {role} is known to {field.seen_px:.2g} px where points are, and to "
+        f"{field.picture_px:.2g} px in the picture's corners"
+    )
+    if field.together:
+        *most, last = field.together
+        names = f"{', '.join(most)} and {last}"
+        text += f"; {names} are only told together: their own deviations say little"
+    return text
 
 
 def _cause(ratio: float, pose_factor: float) -> str:
@@ -124,8 +139,12 @@ def doubts(found: BoardCalibration) -> dict[str, str]:
         what = "add poses" if found.agreement else "fix what the poses hardly tell (--fix)"
         told["adjustment"] = f"did not come to rest: {what}"
     told |= _disagreement(found.agreement)
+    alike: dict[str, list[str]] = {}
     for name, why in found.known.undetermined.items():
-        told[name] = why if found.agreement else f"{why} (--fix {name})"
+        alike.setdefault(why, []).append(name)
+    for why, names in alike.items():
+        fix = " ".join(f"--fix {name}" for name in names)
+        told[", ".join(names)] = why if found.agreement else f"{why} ({fix})"
     return told
 
 

@@ -19,23 +19,27 @@ Where f is above 1 by more than two deviations, the covariance of what poses tel
 it.
 
 **What poses do not tell.**  A parameter whose deviation is beyond a stated size is not determined.
-That of distortion is told by what a picture would show of it: pixels in its farthest corner.
+Distortion is judged as a whole, by what a picture would show of it
+(:mod:`~slbench.calibration.bundle.field`); named are the coefficients without which it is
+determined.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slbench.calibration.bundle.adjust import Adjusted, derivatives, residuals
+from slbench.calibration.bundle.field import DistortionField, distortion_field
 from slbench.calibration.bundle.models import FOCAL
-from slbench.calibration.bundle.prior import Prior
+from slbench.calibration.bundle.prior import Denominators, Prior
 from slbench.calibration.bundle.views import BoardView
+from slbench.rig.coefficients import COEFFICIENTS
 from slbench.rig.device import Device
-from slbench.rig.parameters import ParameterCovariance
+from slbench.rig.parameters import ROLES, ParameterCovariance
 
 Array = NDArray[np.float64]
 
@@ -48,14 +52,10 @@ _EVIDENCE = 2.0
 #: A focal length is not determined beyond this share of it, a centre beyond this share of the
 #: panel's width, a shift beyond this share of the baseline, a turn beyond this angle.
 FOCAL_SHARE, CENTRE_SHARE, SHIFT_SHARE, TURN_RAD = 0.05, 0.1, 0.1, 0.1
-#: Distortion is not where its deviation moves the farthest corner of the picture by more, px.
-DISTORTION_PX = 2.0
-#: Powers of the radius that a coefficient's shift goes with.
-_POWERS = {"k1": 3, "k2": 5, "p1": 2, "p2": 2, "k3": 7}
 #: Boards are nearly parallel where their normals spread by less, deg.
 _PARALLEL_DEG = 8.0
 #: Points reach too little of a picture where none is beyond this share of the half diagonal.
-_REACH = 0.6
+_REACH = 0.9
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,12 +71,15 @@ class Uncertainty:
         Variance that whole poses show over that of independent points; see the module.
     undetermined : dict of str to str
         What poses do not determine, by full name: how far off it may be, and why.
+    distortion : dict of str to DistortionField
+        Of the devices whose distortion was fitted.
     """
 
     covariance: ParameterCovariance
     chi_square: dict[str, float]
     pose_factor: float
     undetermined: dict[str, str]
+    distortion: dict[str, DistortionField]
 
 
 def uncertainty(
@@ -94,9 +97,11 @@ def uncertainty(
     names : sequence of str
         Parameters of the rig that were free.
     prior : Prior, optional
-        What was known of them before: rows of A beside the poses'.
+        What was known of them before, as :func:`~slbench.calibration.bundle.adjust.adjust` has it:
+        rows of A beside the poses'.
     """
-    before = np.zeros((0, len(names))) if prior is None else prior.derivatives(names)
+    weak = prior or Denominators.of(found.rig, names)
+    before = np.zeros((0, len(names))) if weak is None else weak.derivatives(names, found.rig)
     tall, right, scaled = [], [], np.array(found.scales)
     counts = np.zeros((len(views), 2))
     blocks = derivatives(found.rig, found.poses, views, names)
@@ -123,14 +128,20 @@ def uncertainty(
     # What the deviations as predicted would have had for a mean square.
     chi = {
         role: float(np.average(scaled[:, k] ** 2, weights=counts[:, k]))
-        for k, role in enumerate(("camera", "projector"))
+        for k, role in enumerate(ROLES)
     }
     known = ParameterCovariance(tuple(names), covariance)
+    fields = {
+        role: field
+        for role in ROLES
+        if (field := distortion_field(found.rig, role, _seen(views, found, role), known))
+    }
     return Uncertainty(
         covariance=known,
         chi_square=chi,
         pose_factor=pose_factor,
-        undetermined=_undetermined(views, found, known),
+        undetermined=_undetermined(views, found, known, fields),
+        distortion=fields,
     )
 
 
@@ -182,13 +193,18 @@ def _pose_factor(poses: Sequence[tuple[Array, Array]], inverse: Array) -> tuple[
 
 
 def _undetermined(
-    views: Sequence[BoardView], found: Adjusted, known: ParameterCovariance
+    views: Sequence[BoardView],
+    found: Adjusted,
+    known: ParameterCovariance,
+    fields: Mapping[str, DistortionField],
 ) -> dict[str, str]:
     """Name the parameters that the poses do not determine, how far off they may be, and why."""
     rig, told = found.rig, {}
     baseline = float(np.linalg.norm(rig.baseline))
     for name, deviation in known.std.items():
         role, _, own = name.partition(".")
+        if own in COEFFICIENTS:
+            continue
         device = getattr(rig, role)
         focal = float(device.matrix[0, 0])
         if own in FOCAL:
@@ -200,16 +216,20 @@ def _undetermined(
         elif own.endswith("_mm"):
             limit, size = SHIFT_SHARE * baseline, f"{deviation:.3g} mm of {baseline:.4g}"
             why = _angles(found, device)
-        elif own.endswith("_rad"):
+        else:
             limit, size = TURN_RAD, f"{np.degrees(deviation):.3g} deg"
             why = _angles(found, device)
-        else:
-            moves = deviation * _corner_radius(device) ** _POWERS[own] * focal
-            limit, deviation = DISTORTION_PX, moves
-            size = f"{moves:.3g} px in the picture's corner"
-            why = _reach(views, found, role)
         if deviation > limit:
             told[name] = f"known to {size} only: {why}"
+    for role, field in fields.items():
+        names, left = field.superfluous
+        why = (
+            f"distortion is known to {field.picture_px:.3g} px in the picture's corners only "
+            f"({field.seen_px:.2g} px where points are): {_reach(views, found, role)}"
+        )
+        if len(names) < len(field.names):
+            why += f" ({left:.2g} px then)"
+        told |= dict.fromkeys((f"{role}.{name}" for name in names), why)
     return told
 
 
@@ -232,9 +252,9 @@ def _reach(views: Sequence[BoardView], found: Adjusted, role: str) -> str:
     if share < _REACH:
         return (
             f"no point is farther out than {100 * share:.0f} % of the half diagonal; bring boards "
-            "into the picture's corners"
+            "into the picture's corners, or take a simpler model"
         )
-    return "the lens shows too little of it; a simpler model does (fix it)"
+    return "few points are there; bring boards there, or take a simpler model"
 
 
 def normal_spread_deg(found: Adjusted) -> float:
@@ -250,13 +270,6 @@ def reach_of(views: Sequence[BoardView], found: Adjusted, role: str) -> float:
     seen = _seen(views, found, role)
     middle = 0.5 * np.array([device.width - 1, device.height - 1])
     return float(np.linalg.norm(seen - middle, axis=1).max() / np.linalg.norm(middle))
-
-
-def _corner_radius(device: Device) -> float:
-    """Return the radius of the panel's farthest corner, normalised coordinates."""
-    corners = np.array([[x, y] for x in (0, device.width - 1) for y in (0, device.height - 1)])
-    per_unit = np.diag(device.matrix)[:2]
-    return float(np.linalg.norm((corners - device.centre) / per_unit, axis=1).max())
 
 
 def _seen(views: Sequence[BoardView], found: Adjusted, role: str) -> Array:

@@ -44,10 +44,10 @@ def board(
     dictionary: Dictionary = "DICT_4X4_50",
     out: Out = Path("rig.yaml"),
     camera_model: Annotated[
-        str, typer.Option(help="Of its lens: plain, radial, brown or telecentric.")
+        str, typer.Option(help="Of its lens: plain, radial, brown, rational or telecentric.")
     ] = "brown",
     projector_model: Annotated[
-        str, typer.Option(help="Of its lens: plain, radial or brown.")
+        str, typer.Option(help="Of its lens: plain, radial, brown or rational.")
     ] = "radial",
     fix: Annotated[
         list[str] | None,
