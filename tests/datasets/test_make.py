@@ -432,10 +432,11 @@ class TestResume:
         ("changes", "options", "words"),
         [
             ({}, {"seed": 4}, "seed"),
-            ({}, {"count": 6}, "count"),
+            ({}, {"count": 4}, "count"),
             ({}, {"preview": True}, "preview"),
             ({"licence": "another"}, {}, "licence"),
-            ({"constraints": {"min_lit_share": 0.1}}, {}, "specification"),
+            ({"constraints": {"min_lit_share": 0.1}}, {}, r"specification\.constraints\..*"),
+            ({"constraints": {"min_lit_share": 0.1}}, {"count": 9}, r"specification\..*"),
         ],
     )
     def test_another_data_set_is_not_finished_here(
@@ -448,6 +449,7 @@ class TestResume:
             InputError, match=f"{words}: expected .*, which the data set was begun with"
         ):
             make_dataset(spec, files, made, count, cluster, resume=True, **asked)
+        assert Manifest.load(Storage(made)).count == COUNT
 
     def test_other_versions_do_not_finish_it(self, tiny, copy, cluster):
         manifest = json.loads((copy / "dataset.json").read_text())
@@ -462,6 +464,84 @@ class TestResume:
         (tmp_path / "letter.txt").write_text("Dear ...")
         with pytest.raises(InputError, match="other files"):
             make_dataset(*tiny, str(tmp_path), COUNT, cluster, resume=True)
+
+
+def contents(folder):
+    """Return all files of a data set but its card, by name."""
+    paths = [path for path in Path(folder).rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+@pytest.fixture(scope="module")
+def three_samples(tiny, cluster, tmp_path_factory):
+    """The first three samples of the five: a shard of two, and one that is half full."""
+    url = str(tmp_path_factory.mktemp("three") / "set")
+    make_dataset(*tiny, url, 3, cluster, seed=SEED)
+    return url
+
+
+class TestGrowth:
+    @pytest.fixture
+    def young(self, three_samples, tmp_path):
+        shutil.copytree(three_samples, tmp_path / "young")
+        return tmp_path / "young"
+
+    def grown(self, tiny, young, cluster):
+        result = make_dataset(*tiny, str(young), COUNT, cluster, seed=SEED, resume=True)
+        assert result.made + result.kept == COUNT
+        return result
+
+    def test_it_is_the_data_set_that_is_made_at_once(self, tiny, made, young, cluster):
+        assert contents(young) != contents(made)
+        result = self.grown(tiny, young, cluster)
+        assert (result.made, result.kept) == (2, 3)
+        assert contents(young) == contents(made)
+
+    @pytest.mark.parametrize("when", ["begun", "staged", "reopened", "made", "packed"])
+    def test_growth_that_was_killed_is_finished(self, when, tiny, made, young, cluster):
+        storage, whole = Storage(str(young)), Storage(made)
+        storage.write("dataset.json", whole.read("dataset.json"))
+        storage.write("run.json", b'{"token": "of a killed run"}')
+        run = tasks.Run(str(young), "of a killed run", digest(storage.read("dataset.json")))
+        rows = rows_of(young)
+        half = [row for row in rows if row["sample"] == 2]
+        content = storage.read_range(half[0]["shard"], half[0]["offset"], half[0]["size"])
+        if when == "staged":
+            tasks.stage(run, 2, content)
+        elif when != "begun":
+            assert tasks.reopen_shard(run, 1, half) == half
+            assert not (young / "shards" / "000001.parquet").exists()
+        if when in ("made", "packed"):
+            assert tasks.make(run, 3)[1]
+        if when == "packed":  # killed between the shard and its rows
+            storage.write("shards/000001.tar", whole.read("shards/000001.tar"))
+        assert verify_dataset(str(young))[0] != []
+        assert self.grown(tiny, young, cluster).kept == 3 + (when in ("made", "packed"))
+        assert contents(young) == contents(made)
+
+    def test_a_damaged_sample_of_the_last_shard_is_made_again(self, tiny, made, young, cluster):
+        flip(young / "shards" / "000001.tar", 5000)
+        assert self.grown(tiny, young, cluster).made == 3
+        assert contents(young) == contents(made)
+
+    def test_it_is_read_while_it_grows(self, tiny, made, young, cluster):
+        # The larger shard is there, the index is the old one.
+        Storage(str(young)).write("dataset.json", Storage(made).read("dataset.json"))
+        Storage(str(young)).write("shards/000001.tar", Storage(made).read("shards/000001.tar"))
+        for old, new in zip(open_dataset(young), open_dataset(made), strict=False):
+            assert old.members == new.members
+
+    def test_a_row_keeps_its_attempts(self, tiny, young, cluster, monkeypatch):
+        # Sample 2 needed a second attempt.
+        rows = [row | {"attempts": 2} if row["sample"] == 2 else row for row in rows_of(young)]
+        types = Manifest.load(Storage(str(young))).columns
+        Storage(str(young)).write("shards/000001.parquet", index.encode(rows[2:], types))
+        self.grown(tiny, young, cluster)
+        assert [row["attempts"] for row in rows_of(young)] == [1, 1, 2, 1, 1]
+
+    def test_it_does_not_shrink(self, tiny, young, cluster):
+        with pytest.raises(InputError, match=r"count: expected 3, .* or more.*got 2"):
+            make_dataset(*tiny, str(young), 2, cluster, seed=SEED, resume=True)
 
 
 class TestCluster:

@@ -203,37 +203,58 @@ def test_killed_again_and_again(spec, reference_run, tmp_path):
     check_whole(place, reference)
 
 
+#: The command line in one process that dies right after its n-th file has appeared.
+DYING = """\
+import contextlib, os, sys
+from slbench.datasets.store import storage
+limit, writing = int(sys.argv.pop(1)), storage.Storage.writing
+count = 0
+@contextlib.contextmanager
+def counted(self, name):
+    global count
+    with writing(self, name) as stream:
+        yield stream
+        if count == limit:
+            os._exit(137)
+    count += 1
+    if count == limit:
+        os._exit(137)
+storage.Storage.writing = counted
+from slbench.cli import main
+main()
+"""
+
+
+def statuses_of(words, limits):
+    """Run a command line that dies at its first file, or another; return exit statuses."""
+    arguments = [[sys.executable, "-c", DYING, str(limit), *words] for limit in limits]
+    return [subprocess.run(one, capture_output=True).returncode for one in arguments]
+
+
 def test_killed_at_each_step(spec, reference, tmp_path):
     """Die right after each of the files that matter has appeared, in one process."""
-    script = (
-        "import os, sys\n"
-        "from slbench.datasets.store import storage\n"
-        "import contextlib\n"
-        "limit, writing = int(sys.argv.pop(1)), storage.Storage.writing\n"
-        "count = 0\n"
-        "@contextlib.contextmanager\n"
-        "def counted(self, name):\n"
-        "    global count\n"
-        "    with writing(self, name) as stream:\n"
-        "        yield stream\n"
-        "        if count == limit:\n"
-        "            os._exit(137)\n"
-        "    count += 1\n"
-        "    if count == limit:\n"
-        "        os._exit(137)\n"
-        "storage.Storage.writing = counted\n"
-        "from slbench.cli import main\n"
-        "main()\n"
-    )
     words = command(spec, tmp_path / "set", "--workers", 0, "--resume")[3:]
-    statuses = []
-    for limit in (1, 3, 4, 2, 1, 5):
-        arguments = [sys.executable, "-c", script, str(limit), *words]
-        statuses.append(subprocess.run(arguments, capture_output=True).returncode)
-    assert statuses == [137] * 6
+    assert statuses_of(words, (1, 3, 4, 2, 1, 5)) == [137] * 6
     last = subprocess.run([sys.executable, "-m", "slbench", *words], capture_output=True)
     assert last.returncode == 0, last.stderr
     check_whole(tmp_path / "set", reference)
+
+
+def test_growth_that_is_killed_at_each_step(spec, reference, tmp_path):
+    """Grow from seven samples of twelve, a shard of which has one of three."""
+    place = tmp_path / "set"
+    with local_cluster(0) as cluster:
+        make_dataset(*load(spec), str(place), 7, cluster, seed=SEED)
+    words = command(spec, place, "--workers", 0, "--resume")[3:]
+    # dataset.json, run.json, the sample that is staged again; later ones get further.
+    assert statuses_of(words, (1, 2, 3, 4, 5, 6, 2)) == [137] * 7
+    last = subprocess.run([sys.executable, "-m", "slbench", *words], capture_output=True)
+    assert last.returncode == 0, last.stderr
+    check_whole(place, reference)
+    with local_cluster(0) as cluster:
+        make_dataset(*load(spec), str(tmp_path / "once"), COUNT, cluster, seed=SEED)
+    for name in ("dataset.json", "index.parquet", "shards/000002.tar", "shards/000002.parquet"):
+        assert (place / name).read_bytes() == (tmp_path / "once" / name).read_bytes()
 
 
 @contextmanager

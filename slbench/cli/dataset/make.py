@@ -37,7 +37,7 @@ def make(
     ] = None,
     preview: Preview = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Finish what an earlier run left there.")
+        bool, typer.Option("--resume", help="Finish what is there, or grow it to --count.")
     ] = False,
     seed: Seed = 0,
     allow_modules: AllowModules = False,

@@ -3,7 +3,8 @@
 The client hands out a few samples more than the cluster can make at a time and gets rows of
 the index back, so neither it nor the scheduler holds samples, however many there are.
 Killed at any moment, a run leaves complete files only; the next one takes complete shards and
-staged samples as they are and makes the rest (:mod:`slbench.datasets.make.tasks`).
+staged samples as they are and makes the rest (:mod:`slbench.datasets.make.tasks`).  A data set
+grows the same way: it is then one that lacks samples.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from typing import Any
 
 from slbench.core.errors import InputError
 from slbench.core.io.scratch import temporary_folder
+from slbench.core.validation.wording import shown
 from slbench.datasets.make import tasks
 from slbench.datasets.make.cluster import Cluster, LostError
 from slbench.datasets.make.sample_maker import environment
@@ -32,6 +34,8 @@ from slbench.datasets.store.storage import Storage, is_temporary
 #: Samples handed out for each one that the cluster makes at a time.
 _AHEAD = 2
 
+#: What a key says that only one of two data sets has.
+_NONE = "nothing"
 _EMPTY = "an empty place, or --resume to finish what is there"
 
 #: Called with the samples done, those to be done, and those that failed.
@@ -96,7 +100,8 @@ def make_dataset(
     preview : bool
         Fewer camera pixels and Monte Carlo samples.
     resume : bool
-        Finish what a run of the same specification, seed and count left there.
+        Finish what a run of the same specification and seed left there.  With a larger `count`
+        the data set grows; it is then, byte by byte, the one that is made at once.
     on_progress : callable, optional
 
     Returns
@@ -177,24 +182,46 @@ def _write_manifest(
     if not storage.exists(MANIFEST):
         manifest.save(storage)  # first: what a kill leaves is known for a data set by it
     elif resume:
-        _check_same(storage, manifest)
+        if _check_same(storage, manifest):
+            manifest.save(storage)  # before any sample: what a kill leaves knows how many it lacks
     else:  # begun since the place was found empty
         raise InputError(storage.url, _EMPTY, "a data set that another run has begun")
     for name, content in files.items():  # one may have been lost
         storage.write(f"{tasks.FILES}/{name}", content)
 
 
-def _check_same(storage: Storage, manifest: Manifest) -> None:
-    """Refuse to finish another data set than that which was begun."""
+def _check_same(storage: Storage, manifest: Manifest) -> bool:
+    """Refuse to finish another data set than that which was begun; return whether it grows."""
     before, now = Manifest.load(storage).to_dict(), manifest.to_dict()
     where = storage.where(MANIFEST)
     if before["environment"] != now["environment"]:
         name, old, new = tasks.different(before["environment"], now["environment"])
         raise InputError(where, f"{name} {old}, which the data set was begun with", new)
-    for key, value in before.items():
-        if now[key] != value:
-            expected = f"{str(value)[:60]}, which the data set was begun with"
-            raise InputError(f"{where}: {key}", expected, str(now[key])[:60])
+    old_count, new_count = before.pop("count"), now.pop("count")
+    found = _first_difference(before, now)
+    if found is not None:
+        place, old, new = found
+        expected = f"{shown(old)}, which the data set was begun with"
+        raise InputError(f"{where}: {place}", expected, shown(new))
+    if new_count < old_count:
+        expected = f"{old_count}, which the data set was begun with, or more to let it grow"
+        raise InputError(f"{where}: count", expected, new_count)
+    return bool(new_count > old_count)
+
+
+def _first_difference(before: Any, now: Any, place: str = "") -> tuple[str, Any, Any] | None:
+    """Return where two plain values differ first, and what stands there in each."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        pairs = [
+            (f"{place}.{key}".lstrip("."), before.get(key, _NONE), now.get(key, _NONE))
+            for key in (*before, *(key for key in now if key not in before))
+        ]
+    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        pairs = [(f"{place}[{k}]", *pair) for k, pair in enumerate(zip(before, now, strict=True))]
+    else:
+        same = before == now and type(before) is type(now)
+        return None if same else (place, before, now)
+    return next(filter(None, (_first_difference(b, n, at) for at, b, n in pairs)), None)
 
 
 @contextmanager
@@ -249,15 +276,14 @@ class _Loop:
         for folder in ("", "shards", tasks.STAGING, tasks.FILES, "card"):
             storage.remove_temporary(folder)
         for shard in range(self.manifest.shards):
-            rows = tasks.complete_rows(storage, self.manifest, shard)
-            if rows is not None and any(row["status"] != index.OK for row in rows):
-                tasks.reopen_shard(self.run_, shard, rows)
-                rows = None
-            if rows is None:
-                self.open[shard] = {}
-                todo.extend(self.manifest.samples_of(shard))
-            else:
+            rows = tasks.whole_rows(storage, self.manifest, shard) or []
+            samples = self.manifest.samples_of(shard)
+            if len(rows) == len(samples) and all(row["status"] == index.OK for row in rows):
                 self.rows |= {row["sample"]: row for row in rows}
+                continue
+            kept = tasks.reopen_shard(self.run_, shard, rows) if rows else []
+            self.open[shard] = {row["sample"]: dict(row) for row in kept}
+            todo.extend(sample for sample in samples if sample not in self.open[shard])
         return todo
 
     def _submit(self, kind: str, number: int, function: Any, *arguments: Any) -> None:

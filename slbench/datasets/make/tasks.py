@@ -260,10 +260,17 @@ def _unstage(storage: Storage, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def complete_rows(storage: Storage, manifest: Manifest, shard: int) -> list[dict[str, Any]] | None:
-    """Return the rows of a shard that is complete, else None.
+    """Return the rows of a shard that is whole and has all its samples, else None."""
+    rows = whole_rows(storage, manifest, shard)
+    return rows if rows and len(rows) == len(manifest.samples_of(shard)) else None
 
-    Complete: its rows are there, one a sample, their places follow each other, and the shard
-    is as long as they say.
+
+def whole_rows(storage: Storage, manifest: Manifest, shard: int) -> list[dict[str, Any]] | None:
+    """Return the rows of a shard that is whole, else None.
+
+    Whole: its rows are there, one a sample from its first, their places follow each other, and
+    the shard is as long as they say.  The last shard of a data set that grows is whole, but
+    lacks the samples that are added.
     """
     name = rows_name(shard)
     if not (storage.exists(name) and storage.exists(shard_name(shard))):
@@ -272,7 +279,7 @@ def complete_rows(storage: Storage, manifest: Manifest, shard: int) -> list[dict
         rows = index.decode(storage.read(name), storage.where(name), manifest.columns)
     except InputError:
         return None
-    if [row["sample"] for row in rows] != list(manifest.samples_of(shard)):
+    if [row["sample"] for row in rows] != list(manifest.samples_of(shard)[: len(rows)]):
         return None
     length = 0
     for row in rows:
@@ -283,13 +290,26 @@ def complete_rows(storage: Storage, manifest: Manifest, shard: int) -> list[dict
     return rows if storage.size(shard_name(shard)) == length + len(END) else None
 
 
-def reopen_shard(run: Run, shard: int, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Stage a packed shard's samples again, so that its failed ones can have another try."""
+def reopen_shard(
+    run: Run, shard: int, rows: Sequence[Mapping[str, Any]]
+) -> list[Mapping[str, Any]]:
+    """Stage a packed shard's samples again, so that others can stand beside them.
+
+    Those that failed can have another try, and a data set can grow.
+
+    Returns
+    -------
+    list of mappings
+        The rows of the staged samples; a damaged one is to be made anew.
+    """
     storage = run.storage
     run.check()
+    kept: list[Mapping[str, Any]] = []
     for row in rows:
         if row["status"] == index.OK:
             content = storage.read_range(row["shard"], row["offset"], row["size"])
-            if digest(content) == row["sha256"]:  # a damaged one is made anew
+            if digest(content) == row["sha256"]:
                 stage(run, row["sample"], content)
+                kept.append(row)
     storage.remove(rows_name(shard))
+    return kept
