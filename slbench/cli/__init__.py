@@ -44,6 +44,7 @@ SECTIONS = {
         "check": "slbench.cli.check:check",
         "sweep": "slbench.cli.sweep:sweep",
         "budget": "slbench.cli.budget:budget",
+        "terms": "slbench.cli.terms:terms",
         "diagnose": "slbench.cli.diagnose:diagnose",
         "bench": "slbench.cli.bench:bench",
     },

@@ -57,6 +57,7 @@ artefacts: Registry[ArtefactKind] = Registry(
         "micro_lens": "slbench.objects.shapes.microlens:KIND",
         "bowl": "slbench.objects.shapes.bowl:KIND",
         "pyramid_array": "slbench.objects.shapes.pyramid_array:KIND",
+        "siemens_star": "slbench.objects.shapes.siemens_star:KIND",
         "sinusoid": "slbench.objects.shapes.sinusoid:KIND",
         "propeller": "slbench.objects.parts.propeller:KIND",
         "brick": "slbench.objects.parts.brick:KIND",

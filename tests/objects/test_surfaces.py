@@ -231,12 +231,37 @@ def test_refused_sinusoids(change, key):
     check_refused("sinusoid", WAVE, change, key)
 
 
+# --- star -----------------------------------------------------------------------------------
+
+
+def test_a_star_has_half_of_each_ring_raised():
+    star = fresh("siemens_star", {"spokes": 10, "height_mm": 0.5, "inner_radius_mm": 2.0})
+    check_solid(star.mesh)
+    raised = 0.5 * math.pi * (12.0**2 - 2.0**2) * 0.5
+    # Chords of 0.02 rad take 7e-5 of a sector.
+    assert star.mesh.volume == pytest.approx(30.0**2 * 3.0 + raised, rel=1e-4)
+    angle = np.linspace(0.0, 2.0 * math.pi, 361)[:-1] + 1e-3
+    heights = surface_height(star.mesh, 7.0 * np.column_stack((np.cos(angle), np.sin(angle))))
+    assert heights == pytest.approx(np.where(np.cos(10 * angle) > 0.0, 0.5, 0.0), abs=1e-9)
+
+
+def test_refused_stars():
+    check_refused("siemens_star", {}, {"inner_radius_mm": 12.0}, "outer_radius_mm")
+    check_refused("siemens_star", {}, {"spokes": 2}, "spokes")
+
+
 # --- all ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
     ("kind", "parameters"),
-    [("micro_lens", {}), ("bowl", {}), ("pyramid_array", {}), ("sinusoid", WAVE)],
+    [
+        ("micro_lens", {}),
+        ("bowl", {}),
+        ("pyramid_array", {}),
+        ("sinusoid", WAVE),
+        ("siemens_star", {}),
+    ],
 )
 def test_surfaces_are_repeatable(kind, parameters):
     check_repeatable(kind, parameters)
@@ -244,7 +269,13 @@ def test_surfaces_are_repeatable(kind, parameters):
 
 @pytest.mark.parametrize(
     ("name", "size_mm"),
-    [("micro-lens", 2.0), ("bowl", 50.0), ("pyramid-array", 2.0), ("sinusoid", 2.0)],
+    [
+        ("micro-lens", 2.0),
+        ("bowl", 50.0),
+        ("pyramid-array", 2.0),
+        ("sinusoid", 2.0),
+        ("siemens-star", 30.0),
+    ],
 )
 def test_shipped_surfaces_are_what_they_certify(name, size_mm):
     artefact = check_shipped(name)

@@ -1,0 +1,1 @@
+"""The terms that buyers compare: precision, planarity, trueness, resolution, each defined."""
