@@ -114,6 +114,7 @@ def values(tmp_path_factory):
         sl.compare(scene, sets, repeats=2, transports=[scan.transport], truth=scan.truth),
         sl.error_budget(scene, repeats=2),
         *uncertain(scene),
+        sl.bench.cloud_terms([sl.cloud.MeasuredCloud(flat_cloud())], patch_mm=10.0),
         sl.diagnose_cloud(flat_cloud()),
         sl.cloud.MeasuredCloud(flat_cloud(), scalars={"sigma": np.full(1200, 0.01)}),
         sl.open_dataset(write_dataset(tmp_path_factory.mktemp("small"))),
