@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.show.display import block, numbers
+from slbench.objects.surface import Surface, corner_values
 from slbench.rig.pose import product
 
 if TYPE_CHECKING:
@@ -38,15 +39,26 @@ class Mesh:
         Points, mm.
     faces : (m, 3) array_like of int
         Indices into `vertices`.
+    uv : (m, 3, 2) array_like of float, optional
+        Texture coordinates at the corners of the faces, v upwards; NaN where a part has none.
+        Corners, not vertices: along a seam a vertex has several.
+    albedo : (m, 3) array_like of float, optional
+        Albedo at the corners of the faces, in [0, 1]; NaN where a part has none.
+    normals : (m, 3, 3) array_like of float, optional
+        Unit normals at the corners of the faces that light is shaded by; NaN where a part has none.
+        The true surface stays that of the facets.
 
     Raises
     ------
     InputError
-        If either is empty, of another shape, not finite, or an index is out of range.
+        If vertices or faces are empty, of another shape, not finite, or an index is out of range.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
+    uv: NDArray[np.float64] | None = None
+    albedo: NDArray[np.float64] | None = None
+    normals: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         vertices = np.array(self.vertices, dtype=np.float64)
@@ -72,6 +84,9 @@ class Mesh:
         faces.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
+        for name, width in (("uv", 2), ("albedo", 0), ("normals", 3)):
+            values = corner_values(getattr(self, name), len(faces), width, name)
+            object.__setattr__(self, name, values)
 
     def __repr__(self) -> str:
         size = numbers(self.bounds[1] - self.bounds[0], " x ")
@@ -128,7 +143,10 @@ class Mesh:
             raise InputError("transform", "finite (3, 3) and (3,)", f"{r.shape} and {t.shape}")
         if not (np.abs(r @ r.T - np.eye(3)).max() < 1e-9 and np.linalg.det(r) > 0):
             raise InputError("transform: rotation", "a proper rotation", r.tolist())
-        return Mesh(product(self.vertices, r.T) + t, self.faces)
+        normals = self.normals
+        if normals is not None:
+            normals = product(normals.reshape(-1, 3), r.T).reshape(normals.shape)
+        return Mesh(product(self.vertices, r.T) + t, self.faces, self.uv, self.albedo, normals)
 
     @cached_property
     def as_trimesh(self) -> "trimesh.Trimesh":
@@ -226,6 +244,8 @@ class Artefact:
         once.  Empty: the artefact is one part, called ``"body"``.
     targets : (n, 3) ndarray of float, optional
         True centres of the dots or corners of a calibration target, object frame.
+    surfaces : mapping of str to Surface
+        What a mesh file says of how its parts look, by part.
 
     Raises
     ------
@@ -242,6 +262,7 @@ class Artefact:
     source: str = ""
     parts: Mapping[str, NDArray[np.int64]] = dataclasses.field(default_factory=dict)
     targets: NDArray[np.float64] | None = None
+    surfaces: Mapping[str, Surface] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         names = [feature.name for feature in self.features]
@@ -254,6 +275,7 @@ class Artefact:
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "parameters", dict(self.parameters))
         object.__setattr__(self, "certified", dict(self.certified))
+        object.__setattr__(self, "surfaces", dict(self.surfaces))
 
     def __repr__(self) -> str:
         certified = [f"{name} {value:.6g}" for name, value in self.certified.items()]

@@ -9,7 +9,7 @@ import trimesh
 
 from slbench import objects
 from slbench.core.errors import InputError
-from slbench.objects.mesh.file import MILLIMETRES, _read
+from slbench.core.units import MILLIMETRES
 
 FORMATS = ["stl", "ply", "obj", "off", "glb", "stl_ascii"]
 
@@ -184,10 +184,11 @@ def test_buffers_of_gltf_lie_beside_it(start, block, tmp_path):
         (tmp_path / "scene" / name).write_bytes(content)
         (tmp_path / name).write_bytes(content)  # as good, but elsewhere
     path = tmp_path / "scene" / "model.gltf"
-    assert len(_read(path, 1.0).faces) == len(block.mesh.faces)
+    part = objects.build_artefact("mesh", {"path": str(path), "unit": "mm"})
+    assert len(part.mesh.faces) == len(block.mesh.faces)
     tables = json.loads(path.read_text())
     for buffer in tables["buffers"]:
         buffer["uri"] = start + buffer["uri"]
     path.write_text(json.dumps(tables))
     with pytest.raises(InputError, match="inside"):
-        _read(path, 1.0)
+        objects.build_artefact("mesh", {"path": str(path), "unit": "mm"})
