@@ -13,7 +13,8 @@ from typing import Annotated, Any
 
 from slbench.core.registry import Registry
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Fraction, Interval, Measure, NotNegative, Share
+from slbench.core.validation.types import Fraction, Interval, Measure, NotNegative
+from slbench.scene.textures import ShareMap, Texture, spectrum
 
 
 class Bsdf(Parameters):
@@ -21,7 +22,22 @@ class Bsdf(Parameters):
 
     @abstractmethod
     def mitsuba(self) -> dict[str, Any]:
-        """Return the BSDF of one side of a face as a dictionary for ``mitsuba.load_dict``."""
+        """Return the BSDF of one side of a face as a dictionary for ``mitsuba.load_dict``.
+
+        Pictures in it may be arrays; the renderer takes them in.
+        """
+
+    @property
+    def textures(self) -> dict[str, Texture]:
+        """The parameters that vary over the surface, by name."""
+        found = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: value for name, value in found.items() if isinstance(value, Texture)}
+
+    @classmethod
+    def takes_texture(cls, key: str) -> bool:
+        """Return whether a parameter may be a texture."""
+        field = cls.model_fields.get(key)
+        return field is not None and "Texture" in repr(field.annotation)
 
 
 #: BSDFs by name.  To add one, write its class and name it here; outside slbench the entry-point
@@ -50,15 +66,15 @@ class Diffuse(Bsdf):
 
     Parameters
     ----------
-    albedo : float
+    albedo : float or Texture
         Diffuse reflectance.
     """
 
-    albedo: Share = 0.7
+    albedo: ShareMap = 0.7
 
     def mitsuba(self) -> dict[str, Any]:
         """Return Mitsuba's ``diffuse``."""
-        return {"type": "diffuse", "reflectance": grey(self.albedo)}
+        return {"type": "diffuse", "reflectance": spectrum(self.albedo)}
 
 
 class RoughPlastic(Bsdf):
@@ -66,7 +82,7 @@ class RoughPlastic(Bsdf):
 
     Parameters
     ----------
-    albedo : float
+    albedo : float or Texture
         Diffuse reflectance of the base.
     roughness : float
         GGX ``alpha``, about the RMS slope of the microfacets.
@@ -74,7 +90,7 @@ class RoughPlastic(Bsdf):
         Refractive index of the coat.
     """
 
-    albedo: Share = 0.7
+    albedo: ShareMap = 0.7
     roughness: Fraction = 0.3
     eta: Annotated[float, Interval(gt=1.0, le=1e9)] = 1.5
 
@@ -85,7 +101,7 @@ class RoughPlastic(Bsdf):
             "distribution": "ggx",
             "alpha": self.roughness,
             "int_ior": self.eta,
-            "diffuse_reflectance": grey(self.albedo),
+            "diffuse_reflectance": spectrum(self.albedo),
         }
 
 
@@ -94,7 +110,7 @@ class RoughConductor(Bsdf):
 
     Parameters
     ----------
-    albedo : float
+    albedo : float or Texture
         Factor on the specular reflectance.
     roughness : float
         GGX ``alpha``, about the RMS slope of the microfacets.
@@ -102,7 +118,7 @@ class RoughConductor(Bsdf):
         Real and imaginary part of the refractive index.
     """
 
-    albedo: Share = 0.7
+    albedo: ShareMap = 0.7
     roughness: Fraction = 0.3
     eta: Measure = 2.95
     k: NotNegative = 2.93
@@ -115,5 +131,5 @@ class RoughConductor(Bsdf):
             "alpha": self.roughness,
             "eta": grey(self.eta),
             "k": grey(self.k),
-            "specular_reflectance": grey(self.albedo),
+            "specular_reflectance": spectrum(self.albedo),
         }

@@ -53,7 +53,7 @@ from slbench.scene.changes import (
 )
 from slbench.scene.devices.detector import read_detector
 from slbench.scene.doubts import scene_doubts
-from slbench.scene.materials import PRESETS, Material
+from slbench.scene.materials import PRESETS, Material, own_materials
 from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject, place_of
 from slbench.scene.tables import SceneOfFile, SceneTables, tables_of
 
@@ -405,7 +405,10 @@ def _rig(file: SceneTables, path: Path) -> Rig:
 
 def _objects(file: SceneTables, path: Path) -> tuple[SceneObject, ...]:
     where = f"{path.name}: materials"
-    own = {name: Material.from_table(t, f"{where}.{name}") for name, t in file.materials.items()}
+    own = {
+        name: Material.from_table(table, f"{where}.{name}", path.parent)
+        for name, table in file.materials.items()
+    }
     return tuple(_object(file, index, path, own) for index in range(len(file.objects)))
 
 
@@ -419,7 +422,8 @@ def _object(
         is_file = given.lower().endswith(".toml") or "/" in given or "\\" in given
         artefact = objects.load_artefact(resources.inside(path.parent, given) if is_file else given)
     elif values.mesh is not None:
-        parameters = {"path": values.mesh, "unit": values.unit, "centre": values.centre}
+        parameters: dict[str, Any] = {"path": values.mesh, "unit": values.unit}
+        parameters |= {"centre": values.centre, "normals": values.normals or "file"}
         artefact = objects.build_artefact(
             "mesh", parameters, where, name=Path(values.mesh).stem, folder=path.parent
         )
@@ -428,10 +432,10 @@ def _object(
         artefact = objects.build_artefact(
             values.kind, values.parameters, f"{where}.parameters", folder=path.parent
         )
-    material = Material()
+    material, of_file = Material(), own_materials(artefact)
     if values.material is not None:
-        material = _material(materials, values.material, f"{where}.material")
-    by_part = {
+        material, of_file = _material(materials, values.material, f"{where}.material"), {}
+    by_part = of_file | {
         part: _material(materials, name, f"{where}.materials.{part}")
         for part, name in values.materials.items()
     }
@@ -441,7 +445,8 @@ def _object(
 
         rotation = Rotation.from_euler("XYZ", values.rotation_deg, degrees=True).as_matrix()
     pose = Pose(rotation, np.array(values.position_mm))
-    return SceneObject(artefact, pose, material, by_part)
+    with located(where):
+        return SceneObject(artefact, pose, material, by_part)
 
 
 def _material(own: Mapping[str, Material], name: str, where: str) -> Material:

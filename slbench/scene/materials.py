@@ -8,13 +8,19 @@ named, and a scene can override each.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from slbench.core.errors import InputError
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
+from slbench.objects import Artefact
+from slbench.objects.surface import Surface
 from slbench.scene.bsdfs import DEFAULT, Bsdf, Diffuse, RoughConductor, RoughPlastic, bsdfs
+from slbench.scene.textures import OfMesh, OfVertices, Picture, Texture, read_texture
 
 
 @dataclass(frozen=True)
@@ -33,8 +39,12 @@ class Material:
     source: str = ""
 
     @classmethod
-    def from_table(cls, table: Mapping[str, Any], where: str) -> Material:
+    def from_table(
+        cls, table: Mapping[str, Any], where: str, folder: Path | None = None
+    ) -> Material:
         """Return the material of a table ``[materials.NAME]``: ``bsdf`` and its parameters.
+
+        Pictures that it names are in `folder` or below; None takes paths as they are.
 
         Raises
         ------
@@ -45,7 +55,62 @@ class Material:
             raise InputError(where, "a table with bsdf and its parameters", shown(table))
         values = dict(table)
         kind = bsdfs.get(values.pop("bsdf", DEFAULT), f"{where}.bsdf")
+        for key in filter(kind.takes_texture, values):
+            values[key] = read_texture(values[key], f"{where}.{key}", folder)
         return cls(validated(kind, values, where))
+
+    def on(self, artefact: Artefact, part: str) -> Material:
+        """Return the material on a part of an artefact: with the colours of its mesh, if it asks.
+
+        Pictures that are still files are read.
+
+        Raises
+        ------
+        InputError
+            If it asks for colours or texture coordinates that the mesh does not have.
+        """
+        found = self.bsdf.textures
+        if not found:
+            return self
+        where = f"{artefact.name}: part {part}"
+        own: dict[str, float | Texture] = {}
+        for name, texture in found.items():
+            if type(texture) is OfMesh:
+                own[name] = of_surface(artefact.surfaces.get(part), texture, where)
+            elif isinstance(texture, Picture) and texture.pixels is None:
+                own[name] = texture.read()
+        bsdf = self.bsdf.model_copy(update=own)
+        mappings = {texture.mapping for texture in bsdf.textures.values()}
+        if len(mappings) > 1:
+            raise InputError(where, "one mapping for all textures of a material", "uv and box")
+        if "uv" in mappings and not _has_uv(bsdf, artefact, part):
+            expected = 'a mesh with texture coordinates, or textures with mapping = "box"'
+            raise InputError(where, expected, "a mesh without")
+        return replace(self, bsdf=bsdf)
+
+
+def of_surface(surface: Surface | None, texture: OfMesh, where: str) -> float | Texture:
+    """Return the base colour of a part's surface, times the texture's factor."""
+    if surface is None:
+        raise InputError(where, "a mesh that brings colours", "one without")
+    if surface.corners:
+        return OfVertices(scale=texture.scale)
+    if surface.picture is not None:
+        return Picture(path="mesh", pixels=surface.picture, scale=texture.scale)
+    return surface.albedo * texture.scale
+
+
+def _has_uv(bsdf: Bsdf, artefact: Artefact, part: str) -> bool:
+    """Return whether a part has the texture coordinates that a BSDF's textures need."""
+    if all(isinstance(texture, OfVertices) for texture in bsdf.textures.values()):
+        return True
+    uv = artefact.mesh.uv
+    return uv is not None and bool(np.isfinite(uv[artefact.parts[part]]).all())
+
+
+def own_materials(artefact: Artefact) -> dict[str, Material]:
+    """Return Lambertian materials of the colours that an artefact's mesh file states, by part."""
+    return {part: Material(Diffuse(albedo=OfMesh()), "the mesh file") for part in artefact.surfaces}
 
 
 _TRANSITION_METALS = "n, k at 549 nm: Johnson and Christy, Phys. Rev. B 9, 5056 (1974), "

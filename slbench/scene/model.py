@@ -50,7 +50,8 @@ class SceneObject(Value):
     material : Material
         Of all parts that `materials` does not name.
     materials : mapping of str to Material
-        By part of the artefact.
+        By part of the artefact; :func:`slbench.scene.materials.own_materials` are those of its
+        mesh file.
     """
 
     artefact: Artefact
@@ -64,6 +65,18 @@ class SceneObject(Value):
             if part not in self.artefact.parts:
                 known = ", ".join(self.artefact.parts)
                 raise InputError(f"{self.artefact.name}: materials", f"parts {known}", part)
+        for part in self.artefact.parts:
+            self.material_of(part)
+
+    def material_of(self, part: str) -> Material:
+        """Return the material of a part, with the colours of the mesh where it asks for them.
+
+        Raises
+        ------
+        InputError
+            If it asks for colours or texture coordinates that the mesh does not have.
+        """
+        return self.materials.get(part, self.material).on(self.artefact, part)
 
     @property
     def middle(self) -> NDArray[np.float64]:

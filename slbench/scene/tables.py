@@ -161,6 +161,7 @@ class ObjectTable(Parameters):
     mesh: str | None = None
     unit: Literal["um", "mm", "cm", "inch", "m"] | None = None
     centre: bool = False
+    normals: Literal["file", "facets", "smooth"] | None = None
     kind: str | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
     position_mm: Vector = (0.0, 0.0, 0.0)
@@ -172,8 +173,9 @@ class ObjectTable(Parameters):
     def _one_shape(self) -> ObjectTable:
         if sum(way is not None for way in (self.artefact, self.mesh, self.kind)) != 1:
             raise ValueError("one of artefact (a name), mesh (a file with its unit) or kind")
-        if (self.mesh is None) != (self.unit is None) or (self.centre and self.mesh is None):
-            raise ValueError("a unit with a mesh file, and unit and centre with nothing else")
+        more = self.centre or self.normals is not None
+        if (self.mesh is None) != (self.unit is None) or (more and self.mesh is None):
+            raise ValueError("a unit with a mesh file; unit, centre, normals with nothing else")
         if self.parameters and self.kind is None:
             raise ValueError("parameters with a kind only")
         return self

@@ -49,15 +49,17 @@ def _seen(rig: Rig) -> Hashable:
 
 def _shape(item: SceneObject) -> Hashable:
     mesh = item.artefact.mesh
-    digest = hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).digest()
+    corners = [one for one in (mesh.uv, mesh.albedo, mesh.normals) if one is not None]
+    held = b"".join(array.tobytes() for array in (mesh.vertices, mesh.faces, *corners))
+    digest = hashlib.sha256(held).digest()
     parts = repr((item.artefact.kind, item.artefact.parameters))
     where = item.pose.rotation.tobytes() + item.pose.position.tobytes()
-    looks = [_look(item.material), *((k, _look(m)) for k, m in sorted(item.materials.items()))]
-    return digest, parts, where, tuple(looks)
+    looks = tuple((part, _look(item.material_of(part))) for part in item.artefact.parts)
+    return digest, parts, where, looks
 
 
 def _look(material: Material) -> str:
-    return f"{type(material.bsdf).__qualname__} {material.bsdf.model_dump()}"
+    return repr(material.bsdf)  # its class, its numbers, digests of its pictures
 
 
 class Lights:

@@ -370,7 +370,12 @@ def _made_of(item: SceneObject) -> dict[str, Any]:
     values = {key: value for key, value in artefact.parameters.items() if key not in files}
     if files:
         values |= {part: _digest(getattr(artefact.mesh, part).tobytes()) for part in _MESH}
-    return {"kind": artefact.kind, "parameters": values}
+    made = {"kind": artefact.kind, "parameters": values}
+    looks = [item.material_of(part).bsdf for part in artefact.parts]
+    if any(bsdf.textures for bsdf in looks):  # by what pictures show, wherever they stand
+        made["looks"] = [repr(bsdf) for bsdf in looks]
+    corners = {part: getattr(artefact.mesh, part) for part in ("uv", "albedo", "normals")}
+    return made | {k: _digest(v.tobytes()) for k, v in corners.items() if v is not None}
 
 
 def _shown(sequence: PatternSequence) -> str:

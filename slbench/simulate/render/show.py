@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from slbench.objects import Artefact
 from slbench.rig import Pose, box_corners
 from slbench.scene.bsdfs import Diffuse
-from slbench.scene.materials import Material
+from slbench.scene.materials import Material, own_materials
 from slbench.scene.model import SceneObject
 from slbench.simulate.render.mitsuba import mi
 from slbench.simulate.render.plugins.register import register
@@ -37,7 +37,7 @@ def shade(
     ----------
     artefact : Artefact
     material : Material, optional
-        Of the parts that `materials` does not name; a grey Lambertian by default.
+        Of the parts that `materials` does not name; by default as the mesh file has it, or grey.
     materials : mapping of str to Material, optional
     size_px : int
         Width and height of the picture.
@@ -57,7 +57,7 @@ def shade(
         dark = {
             part: Material(Diffuse(albedo=0.1)) for part in _DARK_PARTS if part in artefact.parts
         }
-        chosen = dark | chosen
+        chosen = dark | own_materials(artefact) | chosen
     item = SceneObject(artefact, Pose(), material or Material(Diffuse(albedo=0.6)), chosen)
     low, high = artefact.mesh.bounds
     centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low) / 2.0)

@@ -20,10 +20,12 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.core.io import files_beside, write_exr
 from slbench.core.io.atomic import native_writing
+from slbench.objects import Mesh
 from slbench.rig import Camera, Device, Pose, Projector
 from slbench.scene.bsdfs import grey
 from slbench.scene.materials import Material
 from slbench.scene.model import Light, Scene, SceneObject
+from slbench.scene.textures import VERTEX_ALBEDO, OfVertices
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.optics import properties_from_device
 from slbench.simulate.render.plugins.register import register
@@ -31,7 +33,18 @@ from slbench.simulate.render.plugins.register import register
 
 def bsdf_dict(material: Material) -> dict[str, Any]:
     """Return a material as a Mitsuba BSDF; both sides of every face scatter."""
-    return {"type": "twosided", "bsdf": material.bsdf.mitsuba()}
+    return {"type": "twosided", "bsdf": _taken_in(material.bsdf.mitsuba())}
+
+
+def _taken_in(item: Any) -> Any:
+    """Return a dictionary whose arrays are Mitsuba's pictures and transforms."""
+    if isinstance(item, dict):
+        return {key: _taken_in(value) for key, value in item.items()}
+    if isinstance(item, np.ndarray):
+        if item.shape == (3, 3):
+            return mi.ScalarTransform3f(item.tolist())
+        return mi.Bitmap(np.ascontiguousarray(item, dtype=np.float32))
+    return item
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +60,12 @@ class Shape:
         World coordinates, mm; those of the whole object.
     faces : (m, 3) int
     material : Material
+    uv : (m, 3, 2) float, optional
+        Texture coordinates at the corners of the faces, v downwards as in a picture.
+    albedo : (m, 3) float, optional
+        Values at the corners.
+    normals : (m, 3, 3) float, optional
+        Shading normals at the corners, in the world.
     """
 
     name: str
@@ -54,6 +73,9 @@ class Shape:
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     material: Material
+    uv: NDArray[np.float64] | None = None
+    albedo: NDArray[np.float64] | None = None
+    normals: NDArray[np.float64] | None = None
 
     def corners(self, faces: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return the corners (k, 3, 3) of the triangles of the given indices (k,)."""
@@ -63,14 +85,43 @@ class Shape:
         """Return the shape as a Mitsuba mesh, in single precision."""
         props = mi.Properties()
         props["bsdf"] = mi.load_dict(bsdf_dict(self.material))
-        used, faces = np.unique(self.faces, return_inverse=True)
-        # No vertex normals: artefacts have sharp edges, and their facets are the truth.
-        result = mi.Mesh(self.name, len(used), len(self.faces), props=props)
+        # Without vertex normals as a rule: artefacts have sharp edges, and facets are the truth.
+        used, faces, (uv, albedo, normals) = self._split()
+        textured, smooth = uv is not None, normals is not None
+        result = mi.Mesh(
+            *(self.name, len(used), len(self.faces)),
+            props=props,
+            has_vertex_normals=smooth,
+            has_vertex_texcoords=textured,
+        )
+        if albedo is not None:
+            result.add_attribute(VERTEX_ALBEDO, 1, albedo.astype(np.float32).ravel())
         params = mi.traverse(result)
         params["vertex_positions"] = mi.Float(self.vertices[used].astype(np.float32).ravel())
         params["faces"] = mi.UInt32(faces.ravel().astype(np.uint32))
+        if textured:
+            params["vertex_texcoords"] = mi.Float(uv.astype(np.float32).ravel())
+        if smooth:
+            params["vertex_normals"] = mi.Float(normals.astype(np.float32).ravel())
         params.update()
         return result
+
+    def _split(self) -> tuple[NDArray[np.int64], NDArray[np.int64], list[Any]]:
+        """Return vertices, faces of them, and what stands at each; seams have several a place."""
+        values = (self.uv, self.albedo, self.normals)
+        if all(one is None for one in values):
+            used, faces = np.unique(self.faces, return_inverse=True)
+            return used, faces, [None, None, None]
+        corner = self.faces.reshape(-1, 1).astype(np.float64)
+        flat = [None if one is None else one.reshape(len(corner), -1) for one in values]
+        rows = np.concatenate([corner, *(one for one in flat if one is not None)], axis=1)
+        order = np.lexsort(rows.T)
+        is_new = np.concatenate([[True], (np.diff(rows[order], axis=0) != 0).any(axis=1)])
+        faces = np.empty(len(rows), dtype=np.int64)
+        faces[order] = np.cumsum(is_new) - 1
+        first = order[is_new]
+        kept = [None if one is None else one[first] for one in flat]
+        return self.faces.ravel()[first], faces, kept
 
 
 def shapes(objects: Iterable[SceneObject]) -> list[Shape]:
@@ -79,16 +130,53 @@ def shapes(objects: Iterable[SceneObject]) -> list[Shape]:
     for k, item in enumerate(objects):
         mesh = item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
         for part, faces in item.artefact.parts.items():
+            material = item.material_of(part)
+            at_vertices = any(isinstance(m, OfVertices) for m in material.bsdf.textures.values())
             found.append(
                 Shape(
                     f"object{k:03d}_{len(found):03d}",
                     k,
                     mesh.vertices,
                     mesh.faces[faces],
-                    item.materials.get(part, item.material),
+                    material,
+                    _coordinates(item.artefact.mesh, faces, material),
+                    _known(mesh.albedo, faces) if at_vertices else None,
+                    _known(mesh.normals, faces),
                 )
             )
     return found
+
+
+def _known(
+    corners: NDArray[np.float64] | None, faces: NDArray[np.int64]
+) -> NDArray[np.float64] | None:
+    """Return values at the corners of faces; None where they have none."""
+    found = None if corners is None else corners[faces]
+    return found if found is not None and np.isfinite(found).all() else None
+
+
+def _coordinates(
+    mesh: Mesh, faces: NDArray[np.int64], material: Material
+) -> NDArray[np.float64] | None:
+    """Return the texture coordinates that a material needs on faces, v downwards."""
+    maps = [t for t in material.bsdf.textures.values() if not isinstance(t, OfVertices)]
+    if not maps:
+        return None
+    if maps[0].mapping == "uv":
+        assert mesh.uv is not None  # by Material.on
+        return np.stack([mesh.uv[faces][..., 0], 1.0 - mesh.uv[faces][..., 1]], axis=-1)
+    corners = mesh.vertices[mesh.faces[faces]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    # Seen from outside, u to the right and v down; a rounding must not tip a face over.
+    size = np.abs(normal)
+    axis = np.argmax(size > 0.999 * size.max(axis=1, keepdims=True), axis=1)
+    u, v = np.array([[1, 2], [0, 2], [0, 1]])[axis].T
+    rows = np.arange(len(corners))
+    along = np.stack([corners[rows, :, u], -corners[rows, :, v]], axis=-1)
+    # x, y and z as they are where the face looks to +x, -y or +z; mirrored from behind.
+    mirrored = (normal[rows, axis] < 0) != (axis == 1)
+    along[mirrored, :, 0] *= -1.0
+    return along
 
 
 def geometry(objects: tuple[SceneObject, ...]) -> Any:
@@ -250,6 +338,21 @@ def _ambient(light: Light) -> dict[str, Any]:
     return {"type": "constant", "radiance": grey(light.ambient_w_per_mm2 / np.pi)}
 
 
+def _written(item: Any, folder: Path, stem: str, names: list[str]) -> Any:
+    """Return a BSDF whose pictures are EXR files in a folder, and add their names."""
+    if not isinstance(item, dict):
+        return item
+    item = {key: _written(value, folder, stem, names) for key, value in item.items()}
+    if "bitmap" in item:
+        values = np.atleast_3d(np.array(item.pop("bitmap")))
+        name = f"{stem}-{len(names)}.exr"
+        channels = ("Y",) if values.shape[2] == 1 else ("R", "G", "B")
+        write_exr(folder / name, {c: values[..., k] for k, c in enumerate(channels)})
+        names.append(name)
+        item["filename"] = name
+    return item
+
+
 def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]:
     """Write the scene for Mitsuba's own command line: XML, meshes (PLY) and the panel (EXR).
 
@@ -308,8 +411,8 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
             content[shape.name] = {
                 "type": "ply",
                 "filename": mesh_name,
-                "face_normals": True,
-                "bsdf": bsdf_dict(shape.material),
+                "face_normals": shape.normals is None,
+                "bsdf": _written(bsdf_dict(shape.material), temporary, mesh_name[:-4], names),
             }
         state = mi.parser.parse_dict(mi.parser.ParserConfig(mi.variant()), content)
         mi.parser.write_file(state, str(temporary / target.name), add_section_headers=True)

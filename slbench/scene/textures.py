@@ -1,0 +1,212 @@
+"""Textures: values of a BSDF's parameter that vary over a surface.
+
+Where a material takes a number, it takes a *texture* instead: a picture (``"wood.png"``), the
+colours that a mesh brings (``{ texture = "mesh" }``), or one that is drawn
+(:mod:`slbench.scene.drawn`).  All become one band of light: the linear luminance of a picture's
+colours (:mod:`slbench.core.colour`).
+
+A texture is a tile that repeats.  ``mapping = "uv"`` lays it by the mesh's texture coordinates,
+``"box"`` by the object's own coordinates: each face takes the two axes that it is least inclined
+to, so that no texture coordinates are needed and a tile has its size in millimetres everywhere.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, InstanceOf
+
+from slbench.core import resources
+from slbench.core.colour import decode_srgb, luminance, unit_range
+from slbench.core.errors import InputError
+from slbench.core.io.images import read_colour
+from slbench.core.registry import Registry
+from slbench.core.validation.tables import Parameters
+from slbench.core.validation.types import Fraction, Measure, MinLen, Share, Words
+from slbench.core.validation.values import validated
+from slbench.core.validation.wording import shown
+from slbench.objects.surface import Pixels
+
+#: Of the values at a mesh's vertices, in Mitsuba's words.
+VERTEX_ALBEDO = "vertex_albedo"
+
+
+class Texture(Parameters):
+    """Base of the textures.
+
+    Parameters
+    ----------
+    mapping : {"box", "uv"}
+        By what the tile is laid.
+    size_mm : float
+        Width of the tile, by ``box``.
+    repeat : float
+        Tiles side by side in the unit square of texture coordinates, by ``uv``.
+    scale : float
+        Factor on all values, in (0, 1].
+    """
+
+    mapping: Literal["box", "uv"] = "box"
+    size_mm: Measure = 10.0
+    repeat: Measure = 1.0
+    scale: Fraction = 1.0
+
+    @abstractmethod
+    def tile(self) -> tuple[NDArray[np.float32], tuple[float, float], bool]:
+        """Return what repeats: values (H, W) in [0, 1], how often across and down a tile, edges.
+
+        The last is whether values jump from one texel to the next instead of being interpolated.
+        """
+
+    def mitsuba(self) -> dict[str, Any]:
+        """Return the texture as a dictionary; arrays in it are the renderer's to take in."""
+        values, (across, down), sharp = self.tile()
+        if self.mapping == "uv":
+            factors = (self.repeat * across, self.repeat * down)
+        else:  # texels are square but for what repeats in the tile
+            height, width = values.shape
+            aspect = (height * down) / (width * across)
+            factors = (across / self.size_mm, down / (self.size_mm * aspect))
+        return {
+            "type": "bitmap",
+            "bitmap": (self.scale * values)[..., None],
+            "raw": True,
+            "filter_type": "nearest" if sharp else "bilinear",
+            "wrap_mode": "repeat",
+            "accel": False,
+            "to_uv": np.diag([*factors, 1.0]),
+        }
+
+
+class Picture(Texture):
+    """A picture, of whose colours the luminance counts.
+
+    Parameters
+    ----------
+    path : str
+        The file; in a scene, relative to its folder.
+    encoding : {"srgb", "linear"}
+        Of its numbers.
+    pixels : Pixels, optional
+        Values in the place of a file's.
+    """
+
+    mapping: Literal["box", "uv"] = "uv"
+    path: Annotated[str, MinLen(1)] = Field(repr=False)  # what it shows counts
+    encoding: Literal["srgb", "linear"] = "srgb"
+    pixels: InstanceOf[Pixels] | None = None
+
+    def tile(self) -> tuple[NDArray[np.float32], tuple[float, float], bool]:
+        """Return the picture's values."""
+        pixels = self.pixels or self._read()
+        return pixels.values, (1.0, 1.0), False
+
+    def read(self) -> Picture:
+        """Return the texture with the file's values in it, which a change of the file leaves.
+
+        Raises
+        ------
+        InputError
+            If the file is no picture, or has transparent pixels.
+        """
+        return self.model_copy(update={"pixels": self._read()})
+
+    def _read(self) -> Pixels:
+        values = unit_range(read_colour(self.path))
+        if not (np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= 1.0):
+            raise InputError(self.path, "values in [0, 1]", f"{values.min()} to {values.max()}")
+        linear = decode_srgb(values) if self.encoding == "srgb" else values
+        return Pixels(linear if linear.ndim == 2 else np.clip(luminance(linear), 0.0, 1.0))
+
+
+class OfMesh(Texture):
+    """The base colour that a mesh file states for a part: number, picture or vertex colours."""
+
+    mapping: Literal["uv"] = "uv"
+    repeat: Literal[1] = 1
+
+    def tile(self) -> tuple[NDArray[np.float32], tuple[float, float], bool]:
+        """Refuse: a mesh has it."""
+        raise InputError("texture", "an object whose mesh has colours", "none: resolve it first")
+
+
+class OfVertices(OfMesh):
+    """Values at the corners of a mesh's faces."""
+
+    def mitsuba(self) -> dict[str, Any]:
+        """Return Mitsuba's ``mesh_attribute``."""
+        return {"type": "mesh_attribute", "name": VERTEX_ALBEDO, "scale": self.scale}
+
+
+#: Textures by name.  To add one, write its class and name it here; outside slbench the entry-point
+#: group ``slbench.textures``, or a module that a scene names.
+textures: Registry[type[Texture]] = Registry(
+    "texture",
+    "slbench.textures",
+    {
+        "picture": "slbench.scene.textures:Picture",
+        "mesh": "slbench.scene.textures:OfMesh",
+        "checker": "slbench.scene.drawn:Checker",
+        "stripes": "slbench.scene.drawn:Stripes",
+        "noise": "slbench.scene.drawn:Noise",
+        "speckle": "slbench.scene.drawn:Speckle",
+        "text": "slbench.scene.drawn:Text",
+    },
+    base="slbench.scene.textures:Texture",
+)
+
+_EXPECTED = "a number in [0, 1], a picture's file, or a table with texture"
+#: A share, or a texture of shares.
+ShareMap = Annotated[Share | InstanceOf[Texture], Words(_EXPECTED)]
+
+
+def spectrum(value: float | Texture) -> dict[str, Any]:
+    """Return a number or a texture in Mitsuba's words, the same at all wavelengths."""
+    if isinstance(value, Texture):
+        return value.mitsuba()
+    return {"type": "uniform", "value": float(value)}
+
+
+def read_texture(value: Any, where: str, folder: Path | None) -> Any:
+    """Return what a material's key says: a texture of a file's name or a table, else the value.
+
+    Parameters
+    ----------
+    value : object
+        As the file has it.
+    where : str
+        Its place, for messages.
+    folder : Path or None
+        Which paths are relative to and stay inside of; None to take them as they are.
+
+    Raises
+    ------
+    InputError
+        Naming the key at fault.
+    """
+    if isinstance(value, str):
+        value = {"texture": "picture", "path": value}
+    if not isinstance(value, Mapping):
+        return value
+    if "texture" not in value:
+        raise InputError(f"{where}.texture", f"one of {', '.join(textures)}", shown(dict(value)))
+    values = dict(value)
+    kind = textures.get(values.pop("texture"), f"{where}.texture")
+    found = validated(kind, values, where)
+    if not isinstance(found, Picture):
+        return found
+    if folder is not None:
+        try:
+            path = str(resources.inside(folder, found.path))
+        except InputError as error:
+            raise InputError(where, error.expected, error.got) from None
+        found = found.model_copy(update={"path": path})
+    try:
+        return found.read()
+    except InputError as error:
+        raise InputError(where, error.expected, f"{Path(found.path).name}: {error.got}") from None
