@@ -104,7 +104,7 @@ class Noise(Drawn):
         return self.between(_noise(self.grain, self.seed)), (1.0, 1.0), False
 
 
-class Speckle(Drawn):
+class Spots(Drawn):
     """Discs of one size strewn at random: toner, spray, the dots of image correlation.
 
     Parameters

@@ -154,7 +154,7 @@ textures: Registry[type[Texture]] = Registry(
         "checker": "slbench.scene.drawn:Checker",
         "stripes": "slbench.scene.drawn:Stripes",
         "noise": "slbench.scene.drawn:Noise",
-        "speckle": "slbench.scene.drawn:Speckle",
+        "speckle": "slbench.scene.drawn:Spots",
         "text": "slbench.scene.drawn:Text",
     },
     base="slbench.scene.textures:Texture",

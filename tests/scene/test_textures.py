@@ -11,7 +11,7 @@ from slbench.core.colour import LUMINANCE, decode_srgb, luminance
 from slbench.core.errors import InputError
 from slbench.objects.surface import Pixels
 from slbench.scene.bsdfs import Diffuse, RoughPlastic
-from slbench.scene.drawn import Checker, Noise, Speckle, Stripes, Text
+from slbench.scene.drawn import Checker, Noise, Spots, Stripes, Text
 from slbench.scene.file import load_scene
 from slbench.scene.materials import Material
 from slbench.scene.model import SceneObject
@@ -43,7 +43,7 @@ def values(texture):
     return texture.tile()[0]
 
 
-@pytest.mark.parametrize("texture", [Noise, Speckle, Text, Checker, Stripes])
+@pytest.mark.parametrize("texture", [Noise, Spots, Text, Checker, Stripes])
 def test_values_lie_between_low_and_high(texture):
     found = values(texture(low=0.2, high=0.6))
     # Single precision, and noise that never quite ends.
@@ -72,7 +72,7 @@ def test_noise_has_its_grain_no_seams_and_all_values_alike():
 
 
 def test_seeds_draw_the_same_again_and_others_else():
-    for texture in (Noise, Speckle):
+    for texture in (Noise, Spots):
         first, again, other = (values(texture(seed=s)) for s in (1, 1, 2))
         assert np.array_equal(first, again)
         assert not np.array_equal(first, other)
@@ -80,7 +80,7 @@ def test_seeds_draw_the_same_again_and_others_else():
 
 def test_speckle_covers_what_its_discs_do():
     """Discs at random leave exp(-count area) bare (Boolean model)."""
-    ink = values(Speckle(count=2000, diameter=0.03, low=0.0, high=1.0, seed=1))
+    ink = values(Spots(count=2000, diameter=0.03, low=0.0, high=1.0, seed=1))
     bare = np.exp(-2000 * np.pi * 0.015**2)
     # The variance of the covered share of a Boolean model: below bare (1 - bare) disc / tile.
     sigma = np.sqrt(bare * (1 - bare) * 4 * np.pi * 0.015**2)
