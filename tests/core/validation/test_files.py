@@ -35,6 +35,7 @@ from slbench.scene.bsdfs import bsdfs
 from slbench.scene.devices.detector import SheetKeys
 from slbench.scene.file import read_merged
 from slbench.scene.tables import SceneOfFile, SceneTables
+from slbench.scene.textures import textures
 
 OBJECTS = {name: read_toml(resources.find("objects", name)) for name in resources.names("objects")}
 SCENE = read_merged(resources.find("scenes", "step-block"))
@@ -111,10 +112,11 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
     ),
     (loading.ArtefactFile, OBJECTS["sphere"]),
     *((bsdfs.get(name), {}) for name in bsdfs),
+    *((textures.get(n), {"path": "a.png"} if n == "picture" else {}) for n in textures),
     *((artefacts.get(t["kind"]).parameters, t["parameters"]) for t in OBJECTS.values()),
 ]
 #: Models of which no file stands alone: parts of the above, or looked into by a parent.
-PARTS = {"MeshParameters", "ToothedParameters"}
+PARTS = {"MeshParameters", "ToothedParameters", "OfVertices"}
 
 
 def _reached(model: Any) -> Iterator[str]:
