@@ -2,9 +2,9 @@
 
 from .apply import CalibratedCloud as CalibratedCloud
 from .apply import measure as measure
-from .bundle.calibrate import BoardCalibration as BoardCalibration
 from .bundle.calibrate import calibrate_boards as calibrate_boards
 from .bundle.combine import combine_devices as combine_devices
+from .bundle.result import BoardCalibration as BoardCalibration
 from .bundle.views import BoardView as BoardView
 from .bundle.views import view_board as view_board
 from .models.model import CalibrationModel as CalibrationModel

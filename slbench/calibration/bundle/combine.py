@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.calibration.bundle.agreement import agreements
-from slbench.calibration.bundle.calibrate import BoardCalibration, calibrated
+from slbench.calibration.bundle.calibrate import calibrated
 from slbench.calibration.bundle.prior import Prior, marginal
+from slbench.calibration.bundle.result import BoardCalibration
 from slbench.calibration.bundle.start import related
 from slbench.calibration.bundle.views import BoardView
 from slbench.core.errors import InputError, warn_user

@@ -13,7 +13,7 @@ from slbench.core.errors import InputError, located, warn_user
 from slbench.core.validation.types import Length
 
 if TYPE_CHECKING:
-    from slbench.calibration.bundle.calibrate import BoardCalibration
+    from slbench.calibration.bundle.result import BoardCalibration
     from slbench.calibration.bundle.views import BoardView
     from slbench.calibration.target.free import FreeBoard
 

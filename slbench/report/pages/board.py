@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.calibration.bundle.calibrate import BoardCalibration
+from slbench.calibration.bundle.result import BoardCalibration
 from slbench.calibration.bundle.summary import (
     doubts,
     left_out_table,

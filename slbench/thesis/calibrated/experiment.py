@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from slbench.calibration.bundle.calibrate import BoardCalibration, calibrate_boards
+from slbench.calibration.bundle.calibrate import calibrate_boards
+from slbench.calibration.bundle.result import BoardCalibration
 from slbench.calibration.bundle.views import view_board
 from slbench.calibration.target.free import FreeBoard
 from slbench.core.random import generator, tagged_seed
