@@ -2,6 +2,8 @@
 
 from .apply import CalibratedCloud as CalibratedCloud
 from .apply import measure as measure
+from .bundle.alone import calibrate_camera as calibrate_camera
+from .bundle.alone import view_picture as view_picture
 from .bundle.calibrate import calibrate_boards as calibrate_boards
 from .bundle.combine import combine_devices as combine_devices
 from .bundle.result import BoardCalibration as BoardCalibration

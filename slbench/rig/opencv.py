@@ -17,6 +17,9 @@ units and defaults.
 Files of other programs come as the same entries (:mod:`slbench.rig.files`), so that one reader
 checks and builds every rig.
 
+A camera that was calibrated alone has a file with its own entries and ``device: camera``
+(:func:`write_camera`), which is no rig.
+
 A lens with an aperture and no focus distance is in focus where its axis comes closest to the
 world's origin, as in a scene file; at infinity where the origin is not before both devices, which
 it is not where the world is the camera's frame.
@@ -37,8 +40,9 @@ from slbench.core.errors import InputError, warn_user
 from slbench.core.io import OtherEntry, write_opencv_yaml
 from slbench.rig.coefficients import COEFFICIENTS
 from slbench.rig.device import Camera, Projector
-from slbench.rig.doubts import rig_doubts
-from slbench.rig.files.entries import Entries, Stated, rig_entries
+from slbench.rig.doubts import principal_point_doubt, rig_doubts
+from slbench.rig.files.entries import DEVICE, Entries, Stated, rig_entries
+from slbench.rig.files.source import Source
 from slbench.rig.optics.lens import Lens
 from slbench.rig.optics.shading import COUNTS
 from slbench.rig.parameters import ParameterCovariance
@@ -118,19 +122,7 @@ def write_rig(path: str | Path, rig: Rig, covariance: ParameterCovariance | None
     offset = projector.pose.to_local(camera.pose.position)
     values: dict[str, Any] = {}
     for name, device in (("camera", camera), ("projector", projector)):
-        values[f"K_{name}"] = device.matrix
-        values[f"dist_{name}"] = device.opencv_distortion
-        values[f"size_{name}"] = np.array([device.width, device.height], dtype=np.float64)
-        values[f"pitch_um_{name}"] = np.array(device.pitch_mm) * 1e3
-        values[f"aperture_radius_mm_{name}"] = float(device.lens.aperture_radius_mm)
-        if np.isfinite(device.lens.focus_distance_mm) or device.lens.aperture_radius_mm:
-            values[f"focus_distance_mm_{name}"] = float(device.lens.focus_distance_mm)
-        values[f"lens_{name}"] = device.lens.kind
-        values[f"wavelength_nm_{name}"] = float(device.lens.wavelength_nm)
-        values[f"blur_px_{name}"] = float(device.blur_px)
-        if device.body_mm is not None:
-            values[f"body_mm_{name}"] = np.array(device.body_mm, dtype=np.float64)
-        values[f"natural_vignetting_{name}"] = int(device.lens.natural_vignetting)
+        values |= _device_entries(name, device)
     for role, own in rig.only._asdict().items():
         if own != role:
             values[f"name_{role}"] = own
@@ -153,6 +145,64 @@ def write_rig(path: str | Path, rig: Rig, covariance: ParameterCovariance | None
         values["covariance_names"] = " ".join(covariance.names)
         values["covariance"] = covariance.matrix
     write_opencv_yaml(path, values)
+
+
+def _device_entries(name: str, device: Camera | Projector) -> dict[str, Any]:
+    """Return the entries of a device's lens and panel."""
+    values: dict[str, Any] = {
+        f"K_{name}": device.matrix,
+        f"dist_{name}": device.opencv_distortion,
+        f"size_{name}": np.array([device.width, device.height], dtype=np.float64),
+        f"pitch_um_{name}": np.array(device.pitch_mm) * 1e3,
+        f"aperture_radius_mm_{name}": float(device.lens.aperture_radius_mm),
+    }
+    if np.isfinite(device.lens.focus_distance_mm) or device.lens.aperture_radius_mm:
+        values[f"focus_distance_mm_{name}"] = float(device.lens.focus_distance_mm)
+    values[f"lens_{name}"] = device.lens.kind
+    values[f"wavelength_nm_{name}"] = float(device.lens.wavelength_nm)
+    values[f"blur_px_{name}"] = float(device.blur_px)
+    if device.body_mm is not None:
+        values[f"body_mm_{name}"] = np.array(device.body_mm, dtype=np.float64)
+    values[f"natural_vignetting_{name}"] = int(device.lens.natural_vignetting)
+    return values
+
+
+def write_camera(path: str | Path, camera: Camera, covariance: ParameterCovariance) -> None:
+    """Write a camera alone, wherever it stands, as OpenCV YAML.
+
+    Parameters
+    ----------
+    path : path of the file to write (``.yaml`` or ``.yml``)
+    camera : Camera
+    covariance : ParameterCovariance
+        Of its parameters; :func:`~slbench.rig.parameters.read_covariance` reads it back.
+    """
+    entries = {DEVICE: "camera"} | _device_entries("camera", camera)
+    entries["covariance_names"] = " ".join(covariance.names)
+    entries["covariance"] = covariance.matrix
+    write_opencv_yaml(path, entries)
+
+
+def read_camera(path: str | Path) -> Camera:
+    """Read the camera of a file: of a camera alone, or of a rig.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_rig`.
+    """
+    storage = Source(path).storage
+    if DEVICE not in storage:
+        return read_rig(path).camera
+    values = _Values(Entries(path=Path(path), values=storage))
+    if values.text(DEVICE, "") != "camera":
+        raise InputError(values.place(DEVICE), "'camera'", repr(storage[DEVICE]))
+    arguments = _device_arguments(values, "camera", None)
+    with _blaming_the_file(values, "camera"):
+        camera = Camera(**arguments)
+    if doubt := principal_point_doubt(camera):
+        warn_user(f"{values.path}: principal point of the camera", doubt)
+    return camera
 
 
 class _Values:

@@ -28,8 +28,9 @@ from pages import ALL, DOCS, FENCE, ROOT, named_commands, shown_commands, text_o
 from scenes_small import run_cli
 from stage_views import stage_views
 
+from slbench.capture.capture import Capture
 from slbench.cli import app, bench
-from slbench.core.io import write_ply, write_table
+from slbench.core.io import write_ply, write_png, write_table
 
 PAGES = [page for page in [*ALL, ROOT / "results" / "README.md"] if page.name != "tour.md"]
 
@@ -151,7 +152,16 @@ def slstudio(path):
     )
 
 
+def board_pictures(path):
+    """Write what the camera saw of the board in the captures of the page, as plain pictures."""
+    path.mkdir()
+    for number in range(1, 7):
+        shots = Capture.load(path.parent / "out" / f"pose{number}")
+        write_png(path / f"{number}.png", np.rint(shots.decode().mean).astype(np.uint8))
+
+
 GIVEN = {
+    "pictures": board_pictures,
     "slstudio.xml": slstudio,
     "intrinsics.yml": lambda path: storage(path, M1=K_CAMERA, M2=K_PROJECTOR),
     "extrinsics.yml": lambda path: storage(path, R=R, T=T),

@@ -10,6 +10,7 @@ from board_scenes import board_scene, captured, free_poses, light_of, placed, tr
 from scenes_small import check_refused, run_cli
 
 from slbench.capture.capture import Capture
+from slbench.core.io import write_png
 from slbench.rig import Pose
 from slbench.rig.opencv import read_rig, write_rig
 from slbench.rig.parameters import read_covariance
@@ -225,3 +226,69 @@ def test_refusals_of_combine(folder, calibrated, moved, tmp_path):
     write_rig(tmp_path / "wide.yaml", wide, read_covariance(rig))
     words = ("moved0", "camera of 640 x 240 px", "320 x 240")
     refused(tmp_path / "wide.yaml", rig, *folders, *BOARD, *out, expecting=words)
+
+
+@pytest.fixture(scope="module")
+def pictures(folder):
+    """What the camera saw of the board in the five poses, as plain pictures."""
+    root = folder / "pictures"
+    root.mkdir()
+    for k, pose in enumerate(poses(folder)):
+        shots = Capture.load(pose)
+        write_png(root / f"{k}.png", np.rint(shots.decode().mean).astype(np.uint8))
+    return root
+
+
+def test_a_camera_alone_by_plain_pictures(folder, calibrated, pictures, moved, tmp_path):
+    folders, true = moved
+    out, page = tmp_path / "camera.yaml", tmp_path / "camera.html"
+    outcome = run_cli(
+        *("calibrate", "board", pictures, "--device", "camera", *BOARD, "--fix", "k3"),
+        *("--out", out, "--report", page, "--json"),
+    )
+    assert outcome.status == 0, outcome.err
+    found = json.loads(outcome.out)
+    assert found["views"] == COUNT
+    errors = {
+        name: (one["value"] - true[name]) / one["std"]
+        for name, one in found["parameters"].items()
+        if one["std"]
+    }
+    # 8 parameters of one draw: 4 deviations are passed in 1 of 2000 tests.
+    assert len(errors) == 8
+    assert max(map(abs, errors.values())) < 4.0, errors
+    assert set(found["models"]) == {"camera"}
+    text = page.read_text()
+    for words in ("Residual fields", "Coverage", "3.png"):
+        assert words in text
+    assert "Predicted deviation of points" not in text
+    # With the projector of the rig, and two poses together, where it stands now.
+    outcome = run_cli(
+        *("calibrate", "combine", out, folder / "rig.yaml", *folders, *BOARD, "--json"),
+        *("--out", tmp_path / "again.yaml"),
+    )
+    assert outcome.status == 0, outcome.err
+    again = json.loads(outcome.out)["parameters"]
+    errors = [(one["value"] - true[name]) / one["std"] for name, one in again.items() if one["std"]]
+    assert np.abs(errors).max() < 4.0
+    # A camera is no rig.
+    for words in (("rig", "show", out), ("decode", folder / "pose0", "--rig", out)):
+        check_refused(run_cli(*words), "camera.yaml", "slbench calibrate combine")
+
+
+def test_refusals_of_a_camera_alone(folder, pictures, tmp_path):
+    out = ("--out", tmp_path / "camera.yaml")
+
+    def refused(*words, expecting):
+        outcome = run_cli("calibrate", "board", *words, "--device", "camera", *BOARD, *out)
+        check_refused(outcome, *expecting)
+        assert not list(tmp_path.iterdir())
+
+    refused(folder / "pose0", expecting=("pose0", "plain pictures", "a capture"))
+    refused(pictures, pictures / "0.png", expecting=("each picture once",))
+    refused(pictures / "9.png", expecting=("9.png",))
+    refused(pictures / "0.png", pictures / "1.png", expecting=("3 poses at least",))
+    refused(pictures, "--world", "board:a", expecting=("--world", "--device camera"))
+    refused(pictures, "--fix", "projector.k1", expecting=("--fix", "the camera"))
+    refused(pictures, "--projector-model", "brown", expecting=("--projector-model",))
+    refused(pictures, "--camera-model", "telecentric", expecting=("camera model", "alone"))

@@ -74,7 +74,7 @@ def calibrate_boards(
         If the board that is the world looks the same when it is turned, or is seen in part, and if
         a camera of another model looks telecentric.
     """
-    _check_sizes(views)
+    check_sizes(views)
     sizes = {"camera": views[0].camera_size, "projector": views[0].panel_size}
     values = start_values(fixed or {}, sizes, camera_model)
     begin = start_telecentric if camera_model == TELECENTRIC else start
@@ -175,7 +175,8 @@ def calibrated(
     )
 
 
-def _check_sizes(views: Sequence[BoardView]) -> None:
+def check_sizes(views: Sequence[BoardView]) -> None:
+    """Refuse too few views, and those of other sizes."""
     if len(views) < LEAST_VIEWS:
         raise InputError("boards", f"views of {LEAST_VIEWS} poses at least", len(views))
     for view in views[1:]:

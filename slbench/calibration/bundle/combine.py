@@ -29,7 +29,7 @@ from slbench.calibration.bundle.views import BoardView
 from slbench.core.errors import InputError, warn_user
 from slbench.rig import Pose, Rig
 from slbench.rig.device import Device
-from slbench.rig.opencv import read_rig
+from slbench.rig.opencv import read_camera, read_rig
 from slbench.rig.parameters import (
     POSE,
     ROLES,
@@ -45,12 +45,14 @@ Mask = NDArray[np.bool_]
 def read_devices(
     camera: str | Path, projector: str | Path
 ) -> tuple[Rig, ParameterCovariance | None]:
-    """Read the camera of one file of a rig and the projector of another, with what is known.
+    """Read the camera of one file and the projector of another, with what is known.
 
     Parameters
     ----------
-    camera, projector : path
-        Of rigs with their covariance beside; both may be the same.
+    camera : path
+        Of a rig, or of a camera that was calibrated alone, with its covariance beside.
+    projector : path
+        Of a rig; both may be the same.
 
     Returns
     -------
@@ -70,18 +72,17 @@ def read_devices(
         If no covariance stands beside a device.
     """
     paths = dict(zip(ROLES, (camera, projector), strict=True))
-    rigs = {role: read_rig(path) for role, path in paths.items()}
+    own, rig = read_camera(camera), read_rig(projector)
     beside = {role: covariance_beside(path) for role, path in paths.items()}
     known = []
     for role, covariance in beside.items():
-        own = None if covariance is None else marginal(covariance, (role,))
-        if own is None:
+        part = None if covariance is None else marginal(covariance, (role,))
+        if part is None:
             doubt = f"no covariance of the {role} stands beside it: taken as exact"
             warn_user(paths[role], doubt)
         else:
-            known.append(own)
-    rig = rigs["projector"]
-    rig = rig.having(**{rig.only.camera: rigs["camera"].camera})
+            known.append(part)
+    rig = rig.having(**{rig.only.camera: own})
     whole = beside["camera"]
     if whole is not None and Path(camera).resolve() == Path(projector).resolve():
         return rig, marginal(whole)

@@ -50,6 +50,9 @@ class BoardCalibration:
         Whether the adjustment came to rest.
     agreement : dict of str to Agreement
         How well the views agree with each device, where these were known before.
+    roles : tuple of str
+        The devices that were calibrated: both, or ``"camera"`` alone, beside which the rig has a
+        projector that means nothing.
     """
 
     views: tuple[BoardView, ...]
@@ -63,6 +66,7 @@ class BoardCalibration:
     strangers: tuple[str, ...] = ()
     converged: bool = True
     agreement: Mapping[str, Agreement] = field(default_factory=dict)
+    roles: tuple[str, ...] = ROLES
 
     __repr__ = brief
 
@@ -136,7 +140,7 @@ class BoardCalibration:
         camera = self.rig.camera.pose
         table: dict[str, tuple[float, float]] = {}
         std = self.covariance.std | self._pose_std
-        for role in ROLES:
+        for role in self.roles:
             device = getattr(self.rig, role)
             values = optics_of(device)
             if role == "projector":
@@ -183,13 +187,19 @@ class BoardCalibration:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the outcome as plain values for JSON."""
-        _, *deviations = self.predicted
-        seen = np.isfinite(deviations[0][:, 2])
         pixel = self.pixel_um
-        return {
+        both = (
+            {}
+            if self.roles != ROLES
+            else {
+                "baseline_mm": dict(zip(("value", "std"), self.baseline_mm, strict=True)),
+                "predicted_std_um": self._predicted_um(),
+            }
+        )
+        return both | {
             "views": len(self.views),
             "points": int(sum(mask.sum() for mask in self.kept)),
-            "rms_px": {role: self.rms_px(k) for k, role in enumerate(ROLES)},
+            "rms_px": {role: self.rms_px(k) for k, role in enumerate(self.roles)},
             "chi_square": self.known.chi_square,
             "pose_factor": self.known.pose_factor,
             "models": dict(self.models),
@@ -198,7 +208,6 @@ class BoardCalibration:
             "parameters": {
                 name: {"value": value, "std": std} for name, (value, std) in self.parameters.items()
             },
-            "baseline_mm": dict(zip(("value", "std"), self.baseline_mm, strict=True)),
             "pixel_um": pixel and dict(zip(("value", "std"), pixel, strict=True)),
             "converged": self.converged,
             "undetermined": self.known.undetermined,
@@ -210,26 +219,13 @@ class BoardCalibration:
                 role: {**asdict(one), "most": one.most} for role, one in self.agreement.items()
             },
             "normal_spread_deg": normal_spread_deg(self._adjusted),
-            "reach": {role: reach_of(self.views, self._adjusted, role) for role in ROLES},
-            "predicted_std_um": {
-                "axis": self.axis,
-                "points": int(seen.sum()),
-                **{
-                    name: {
-                        "median": 1e3 * np.median(one[seen], axis=0),
-                        "largest": 1e3 * np.max(one[seen], axis=0),
-                    }
-                    for name, one in zip(("place", "shape"), deviations, strict=True)
-                    if seen.any()
-                },
-            },
+            "reach": {role: reach_of(self.views, self._adjusted, role) for role in self.roles},
             "poses": [
                 {
                     "name": view.name,
                     "points": len(view),
                     "left_out": int(np.count_nonzero(~mask)),
-                    "camera_rms_px": self.rms_px(0, k),
-                    "projector_rms_px": self.rms_px(1, k),
+                    **{f"{role}_rms_px": self.rms_px(n, k) for n, role in enumerate(self.roles)},
                     "rotation": pose.rotation,
                     "position_mm": pose.position,
                 }
@@ -239,9 +235,26 @@ class BoardCalibration:
             ],
             "strangers": list(self.strangers),
             "left_out": [
-                {"point": name, "camera_px": camera, "projector_px": panel}
-                for name, camera, panel in self.left_out
+                {"point": name}
+                | {f"{role}_px": off for role, off in zip(self.roles, both_off, strict=False)}
+                for name, *both_off in self.left_out
             ],
+        }
+
+    def _predicted_um(self) -> dict[str, Any]:
+        _, *deviations = self.predicted
+        seen = np.isfinite(deviations[0][:, 2])
+        return {
+            "axis": self.axis,
+            "points": int(seen.sum()),
+            **{
+                name: {
+                    "median": 1e3 * np.median(one[seen], axis=0),
+                    "largest": 1e3 * np.max(one[seen], axis=0),
+                }
+                for name, one in zip(("place", "shape"), deviations, strict=True)
+                if seen.any()
+            },
         }
 
     @property

@@ -37,7 +37,8 @@ _FOCAL_WIDTHS, _NOMINAL_WIDTHS = (0.2, 100.0), 3.0
 def fits_homography(view: BoardView) -> Mask:
     """Return which points of a view fit a homography of the board, on camera and panel, (n,)."""
     plane = view.points_mm[:, :2]
-    return _consistent(plane, view.pixels) & _consistent(plane, view.panel)
+    own = _consistent(plane, view.pixels)
+    return own & _consistent(plane, view.panel) if view.lit else own
 
 
 def _consistent(plane: Array, seen: Array) -> Mask:

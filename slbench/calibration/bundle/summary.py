@@ -22,19 +22,20 @@ _WORDS = {"camera": "detected points", "projector": "phases"}
 
 def pose_table(found: BoardCalibration, refused: Mapping[str, InputError]) -> Table:
     """Return the poses with their points and residuals, and those that were refused."""
+    devices = range(len(found.roles))
+    blank = (None,) * (2 + len(devices))
     rows: list[tuple[Cell, ...]] = [
         (
             view.name,
             len(view),
             int(np.count_nonzero(~mask)),
-            found.rms_px(0, k),
-            found.rms_px(1, k),
+            *(found.rms_px(device, k) for device in devices),
         )
         for k, (view, mask) in enumerate(zip(found.views, found.kept, strict=True))
     ]
-    rows += [(f"{name} (left out)", None, None, None, None) for name in found.strangers]
-    rows += [(f"{name} (refused)", None, None, None, None) for name in refused]
-    columns = ("pose", "points", "left out", "camera RMS / px", "projector RMS / px")
+    rows += [(f"{name} (left out)", *blank) for name in found.strangers]
+    rows += [(f"{name} (refused)", *blank) for name in refused]
+    columns = ("pose", "points", "left out", *(f"{role} RMS / px" for role in found.roles))
     return Table("Poses", columns, tuple(rows), "Root mean square distances, seen to projected.")
 
 
@@ -47,9 +48,11 @@ def parameter_table(found: BoardCalibration) -> Table:
             continue
         how = "fixed" if name in fixed else f"{std:.3g}"
         rows.append((name, f"{value:.7g}", how))
-    length, std = found.baseline_mm
-    rows.append(("baseline / mm", f"{length:.7g}", f"{std:.3g}"))
-    note = "The projector's turn (rotation vector) and place are in the camera's frame."
+    note = ""
+    if found.roles == ROLES:
+        length, std = found.baseline_mm
+        rows.append(("baseline / mm", f"{length:.7g}", f"{std:.3g}"))
+        note = "The projector's turn (rotation vector) and place are in the camera's frame."
     if found.pixel_um is not None:
         size, std = found.pixel_um
         rows.append(("camera pixel on the object / µm", f"{size:.7g}", f"{std:.3g}"))
@@ -63,11 +66,12 @@ def parameter_table(found: BoardCalibration) -> Table:
 def left_out_table(found: BoardCalibration) -> Table:
     """Return the points that were left out."""
     rows: list[tuple[Cell, ...]] = [
-        (name, *camera.tolist(), *panel.tolist())
-        for name, camera, panel in found.left_out[:_LISTED]
+        (name, *(float(x) for off in both[: len(found.roles)] for x in off))
+        for name, *both in found.left_out[:_LISTED]
     ]
     count = len(found.left_out)
-    columns = ("point", "camera u / px", "camera v / px", "panel u / px", "panel v / px")
+    words = ("camera", "panel")[: len(found.roles)]
+    columns = ("point", *(f"{word} {axis} / px" for word in words for axis in "uv"))
     note = "What they are off; column and row are the board's."
     if count > _LISTED:
         note += f" The first {_LISTED} of {count}."
@@ -77,15 +81,16 @@ def left_out_table(found: BoardCalibration) -> Table:
 def sentences(found: BoardCalibration) -> list[str]:
     """Say how well the model fits, and what points it predicts."""
     points = sum(int(mask.sum()) for mask in found.kept)
-    told = [
-        f"{points} points in {len(found.views)} poses: RMS {found.rms_px(0):.3g} px in the camera, "
-        f"{found.rms_px(1):.3g} px on the panel"
-    ]
+    both = found.roles == ROLES
+    text = (
+        f"{points} points in {len(found.views)} poses: RMS {found.rms_px(0):.3g} px in the camera"
+    )
+    told = [text + (f", {found.rms_px(1):.3g} px on the panel" if both else "")]
     if found.left_out:
         names = ", ".join(name for name, _, _ in found.left_out[:3])
         more = ", ..." if len(found.left_out) > 3 else ""
         told.append(f"{len(found.left_out)} points left out: {names}{more}")
-    _, *deviations = found.predicted
+    _, *deviations = found.predicted if both else (None, np.empty((0, 3)))
     seen = np.isfinite(deviations[0]).all(axis=1)
     if seen.any():
         place, shape = (

@@ -45,7 +45,7 @@ class BoardView:
     panel : (n, 2) float
         Panel pixels at just those camera pixels.
     panel_sd : (n, 2) float
-        Their deviation by the phase alone.
+        Their deviation by the phase alone; infinite where there is no panel.
     gradient : (n, 2, 2) float
         Derivative of the panel's coordinates by the camera's, ``[:, panel, camera]``.
     camera_size, panel_size : (int, int)
@@ -70,6 +70,11 @@ class BoardView:
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    @property
+    def lit(self) -> bool:
+        """Whether anything is known of the panel."""
+        return bool(np.isfinite(self.panel_sd).any())
 
     @property
     def points_mm(self) -> Array:

@@ -34,7 +34,7 @@ Staggered = Annotated[
 ]
 Marker = Annotated[Length | None, typer.Option(help="Side of a ChArUco board's markers.")]
 Dictionary = Annotated[str, typer.Option(help="Their dictionary, a name of cv2.aruco.")]
-Out = Annotated[Path, typer.Option(help="Rig to write (.yaml), with its covariance.")]
+Out = Annotated[Path, typer.Option(help="Rig or camera to write (.yaml), with its covariance.")]
 World = Annotated[
     str,
     typer.Option(
@@ -128,7 +128,7 @@ def views_of(
     InputError
         For a folder that is no capture, or is given twice.
     """
-    from slbench.calibration.bundle.views import size_doubt, view_folders
+    from slbench.calibration.bundle.views import view_folders
 
     with progress(as_json) as tell:
         views, refused = view_folders(
@@ -138,6 +138,32 @@ def views_of(
             allow_outside=allow_outside,
             on_progress=tell,
         )
+    return _questioned(views, refused)
+
+
+def pictures_of(
+    places: Sequence[Path], board: FreeBoard, *, as_json: bool
+) -> tuple[list[BoardView], dict[str, InputError]]:
+    """Find the board in plain pictures; warn of those where it is not, and return why.
+
+    Raises
+    ------
+    InputError
+        For what is no picture, and one that is given twice.
+    """
+    from slbench.calibration.bundle.alone import view_pictures
+
+    with progress(as_json) as tell:
+        views, refused = view_pictures(places, board, on_progress=tell)
+    return _questioned(views, refused)
+
+
+def _questioned(
+    views: list[BoardView], refused: dict[str, InputError]
+) -> tuple[list[BoardView], dict[str, InputError]]:
+    """Return views and refusals, having warned of what is odd about them."""
+    from slbench.calibration.bundle.views import size_doubt
+
     for problem in refused.values():
         warn_user(problem.where, f"expected {problem.expected}, got {problem.got}: left out")
     if doubt := size_doubt(views):
@@ -158,7 +184,8 @@ def conclude(
     from slbench.calibration.bundle.summary import doubts, parameter_table, pose_table, sentences
     from slbench.core.io import write_json
     from slbench.core.io.folders import files_beside
-    from slbench.rig.opencv import write_rig
+    from slbench.rig.opencv import write_camera, write_rig
+    from slbench.rig.parameters import ROLES
 
     for where, doubt in doubts(found).items():
         warn_user(where, doubt)
@@ -166,7 +193,10 @@ def conclude(
     calibration = out.with_name(f"{out.stem}-calibration.json")
     beside = files_beside("board calibration", out)
     with beside.writing(out.parent, parameters, None) as temporary:
-        write_rig(temporary / out.name, found.rig, found.covariance)
+        if found.roles == ROLES:
+            write_rig(temporary / out.name, found.rig, found.covariance)
+        else:
+            write_camera(temporary / out.name, found.rig.camera, found.covariance)
         write_json(temporary / calibration.name, outcome)
     written = {"out": str(out), "calibration": str(calibration)}
     if report is not None:

@@ -32,7 +32,7 @@ from slbench.cli.lazy import command
     "--size 9x7 --pitch-mm 20 --out rig.yaml --report calibration.html"
 )
 def combine(
-    camera: Annotated[Path, typer.Argument(help="Rig (.yaml) whose camera is taken.")],
+    camera: Annotated[Path, typer.Argument(help="Camera (.yaml), or a rig whose camera is taken.")],
     projector: Annotated[Path, typer.Argument(help="Rig (.yaml) whose projector is taken.")],
     folders: Annotated[
         list[Path],

@@ -56,28 +56,28 @@ def board_page(
     """
     lines = [*sentences(found), *(f"{where}: {why}" for where, why in doubts(found).items())]
     lines += [str(problem) for problem in refused.values()]
-    pictures = (
+    pictures = [
         (
             "Residual fields",
             residual_figure(found),
-            "What points are off, seen less projected, where camera and panel have them; an arrow "
+            "What points are off, seen less projected, where a device has them; an arrow "
             "of the key's length is that many pixels. Arrows that are alike near each other are of "
             "the lens model or of a board that is not flat, not of noise.",
         ),
         (
             "Coverage",
             coverage_figure(found),
-            "Where points are in the picture and on the panel, and how boards were turned: the "
+            "Where points are for a device, and how boards were turned: the "
             "direction and size of their tilt to the camera's axis, with their distance.",
         ),
-        (
-            "Predicted deviation of points",
-            volume_figure(found),
+    ]
+    if found.roles == ROLES:
+        caption = (
             "By the calibration alone, without a scan's noise: along z, at three heights of the "
             "volume that the boards were in. Above of their place, to the camera; below of their "
-            "shape, what is left after a rigid motion of all. All points of a scan share it.",
-        ),
-    )
+            "shape, what is left after a rigid motion of all. All points of a scan share it."
+        )
+        pictures.append(("Predicted deviation of points", volume_figure(found), caption))
     parts: list[Part] = [Text("Summary", ". ".join(lines) + "."), pose_table(found, refused)]
     parts += [Picture.drawn(name, figure, caption) for name, figure, caption in pictures]
     parts.append(parameter_table(found))
@@ -88,8 +88,10 @@ def board_page(
 
 def residual_figure(found: BoardCalibration) -> Figure:
     """Draw what points are off in the picture and on the panel, as arrows."""
-    figure = Figure(figsize=(10.0, 4.4), dpi=100, layout="constrained")
-    for k, (axes, role) in enumerate(zip(figure.subplots(1, 2), ROLES, strict=True)):
+    count = len(found.roles)
+    figure = Figure(figsize=(5.0 * count, 4.4), dpi=100, layout="constrained")
+    subplots = figure.subplots(1, count, squeeze=False)[0]
+    for k, (axes, role) in enumerate(zip(subplots, found.roles, strict=True)):
         device = getattr(found.rig, role)
         places = np.concatenate(_seen(found, k))
         off = np.concatenate(
@@ -115,14 +117,15 @@ def residual_figure(found: BoardCalibration) -> Figure:
 
 def coverage_figure(found: BoardCalibration) -> Figure:
     """Draw where points are on either device, and how the boards were turned."""
-    figure = Figure(figsize=(10.0, 3.6), dpi=100, layout="constrained")
-    for k, role in enumerate(ROLES):
-        axes = figure.add_subplot(1, 3, k + 1)
+    count = len(found.roles) + 1
+    figure = Figure(figsize=(10.0 * count / 3.0, 3.6), dpi=100, layout="constrained")
+    for k, role in enumerate(found.roles):
+        axes = figure.add_subplot(1, count, k + 1)
         for number, places in enumerate(_seen(found, k)):
             colour = f"C{number % 10}"
             axes.plot(*places.T, ".", markersize=2.0, color=colour)
         _panel(axes, getattr(found.rig, role), role)
-    axes = figure.add_subplot(1, 3, 3, projection="polar")
+    axes = figure.add_subplot(1, count, count, projection="polar")
     camera = found.rig.camera.pose
     normals = np.array([camera.rotation.T @ pose.rotation[:, 2] for pose in found.poses])
     distance = np.array([camera.to_local(pose.position)[2] for pose in found.poses])

@@ -25,6 +25,8 @@ Order = Literal["camera-projector", "projector-camera"]
 _ORDERS: tuple[Order, ...] = ("camera-projector", "projector-camera")
 #: Of our own files: either is theirs.
 _OWN = ("K_camera", "K_projector")
+#: The entry of a device that was calibrated alone: which it is.
+DEVICE = "device"
 #: Entries of an unknown file that a refusal names.
 _MOST = 6
 
@@ -110,6 +112,11 @@ def rig_entries(paths: str | Path | Sequence[str | Path], stated: Stated | None 
         if stated != Stated():
             expected = "no unit, size, pitch, order or first pixel beside a file of slbench's own"
             raise InputError(sources[0].path, expected, "some of them")
+        if alone := sources[0].storage.get(DEVICE):
+            made = f"slbench calibrate combine {sources[0].path.name} projector.yaml FOLDER ..."
+            raise InputError(
+                sources[0].path, f"a rig; `{made}` makes one of it", f"a {alone} alone"
+            )
         refuse_other_lenses(sources)
         return Entries(path=sources[0].path, values=sources[0].storage)
     name = format_of(sources)
