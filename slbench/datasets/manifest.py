@@ -21,10 +21,11 @@ from slbench.datasets.store.storage import Storage
 MANIFEST = "dataset.json"
 #: Folder of the files that the specification refers to.
 FILES = "files"
-#: Version of the layout: since 2, truth is stored without what follows from the rig.
-FORMAT = 2
+#: Version of the layout: since 2, truth is stored without what follows from the rig; since 3, all
+#: samples have the same members.
+FORMAT = 3
 #: Versions that are read.
-_READ = (1, 2)
+_READ = (1, 2, 3)
 
 #: Arrow types that a column may have.
 Column = Literal["int64", "double", "string"]
@@ -120,7 +121,7 @@ class Manifest(Value):
             raise InputError(where, "a JSON file", error) from None
         found = values.get("format") if isinstance(values, dict) else None
         if type(found) is not int or found not in _READ:
-            expected = " or ".join(map(str, _READ))
+            expected = f"{', '.join(map(str, _READ[:-1]))} or {_READ[-1]}"
             raise InputError(f"{where}: format", expected, repr(found))
         manifest = validated(cls, values, where, ": ")
         _check_parts(manifest, where)

@@ -15,8 +15,8 @@ from slbench.datasets.make.tasks import FILES, RUN, STAGING, rows_name
 from slbench.datasets.manifest import MANIFEST, Manifest, described
 from slbench.datasets.spec.specification import from_dict
 from slbench.datasets.store import index
-from slbench.datasets.store.sample import REQUIRED
-from slbench.datasets.store.shards import END, digest, shard_name, unpack
+from slbench.datasets.store.sample import REQUIRED, unpack
+from slbench.datasets.store.shards import END, digest, shard_name
 from slbench.datasets.store.storage import Storage
 
 #: What may differ between a row and its sample: where it stands, and how it came about.

@@ -15,7 +15,15 @@ from stages import capture, ground_truth, trace
 from slbench import datasets
 from slbench.datasets.manifest import Manifest
 from slbench.datasets.store import index, shards
-from slbench.datasets.store.sample import RIG, SCENE, TRANSPORT, TRUTH, from_folder, write_transport
+from slbench.datasets.store.sample import (
+    RIG,
+    SCENE,
+    TRANSPORT,
+    TRUTH,
+    from_folder,
+    pack,
+    write_transport,
+)
 from slbench.datasets.store.storage import Storage
 from slbench.rig import Rig
 from slbench.rig.opencv import write_rig
@@ -36,7 +44,7 @@ def made(tmp_path_factory):
     write_rig(folder / RIG, scene.rig)
     write_transport(folder / TRANSPORT, light)
     ground_truth(scene).save(folder / TRUTH, scene.rig)
-    runs = [shards.pack(k, from_folder(folder)) for k in range(COPIES)]
+    runs = [pack(k, from_folder(folder)) for k in range(COPIES)]
     storage = Storage(str(tmp_path_factory.mktemp("data")))
     fields = dict.fromkeys(("name", "description", "licence"), "bench")
     tables = {key: {} for key in ("captures", "environment", "specification", "files")}

@@ -27,6 +27,7 @@ from slbench.datasets.read.reader import open_dataset
 from slbench.datasets.spec.sampling import draw
 from slbench.datasets.spec.specification import load
 from slbench.datasets.store import index
+from slbench.datasets.store import sample as sample_files
 from slbench.datasets.store.sample import EXACT_BITS, rounded, unpacked, write_transport
 from slbench.datasets.store.shards import END, digest, key, pack, unpack
 from slbench.datasets.store.storage import Storage, is_temporary
@@ -77,7 +78,7 @@ def flip(path, where):
 
 def members_of(url, row):
     content = Storage(str(url)).read_range(row["shard"], row["offset"], row["size"])
-    return unpack(row["sample"], content, "sample")
+    return sample_files.unpack(row["sample"], content, "sample")
 
 
 class TestShards:
@@ -136,7 +137,7 @@ class TestSameBytes:
         # In another thread, in another order, without what the others left behind.
         for sample in (4, 1):
             members = make_sample(*tiny, SEED, sample)
-            assert digest(pack(sample, members)) == hashes(made)[sample]
+            assert digest(sample_files.pack(sample, members)) == hashes(made)[sample]
 
     def test_another_place_has_the_same_samples(self, tiny, made, cluster):
         url = "memory://tiny-elsewhere"

@@ -174,13 +174,13 @@ class TestParts:
         np.testing.assert_array_equal(old[1].frames, data[1].frames)
         assert len(data[1].member("truth.exr")) < 0.4 * len(old[1].member("truth.exr"))
 
-    @pytest.mark.parametrize("layout", [0, 3, "2", 2.0, True, None])
+    @pytest.mark.parametrize("layout", [0, 4, "2", 2.0, True, None])
     def test_other_layouts_are_refused(self, layout, copy):
         path = copy / "dataset.json"
         values = json.loads(path.read_text())
         path.write_text(json.dumps({**values, "format": layout}))
         line = refusal(lambda: datasets.open_dataset(copy))
-        assert f"dataset.json: format: expected 1 or 2, got {layout!r}" in line
+        assert f"dataset.json: format: expected 1, 2 or 3, got {layout!r}" in line
 
     def test_light_transport_alone(self, tmp_path):
         item = datasets.open_dataset(small.write_dataset(tmp_path / "bare", frames=False))[0]

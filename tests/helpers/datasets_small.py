@@ -99,7 +99,9 @@ def members(number: int, frames: bool = True, layout: int = FORMAT) -> dict[str,
 
 @functools.cache
 def packed(number: int, frames: bool, layout: int) -> bytes:
-    return shards.pack(number, members(number, frames, layout))
+    # All samples have the same members since layout 3.
+    pack = sample.pack if layout > 2 else shards.pack
+    return pack(number, members(number, frames, layout))
 
 
 def write_dataset(folder: Path, frames: bool = True, layout: int = FORMAT) -> Path:

@@ -44,6 +44,7 @@ def make(
     as_json: Json = False,
 ) -> None:
     """Make a data set: draw scenes, scan them, pack them in shards."""
+    from slbench.datasets.croissant import write_croissant
     from slbench.datasets.make.cluster import (
         LostError,
         existing_cluster,
@@ -86,6 +87,7 @@ def make(
                     on_progress=report,
                 )
         write_card(out)
+        write_croissant(out)
     except (LostError, SupersededError) as error:
         print(f"stopped: {error}; --resume makes the rest", file=sys.stderr)
         raise typer.Exit(1) from None

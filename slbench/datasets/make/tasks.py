@@ -34,7 +34,8 @@ from slbench.datasets.make.sample_maker import (
 from slbench.datasets.manifest import FILES, MANIFEST, Manifest
 from slbench.datasets.spec.specification import Specification, from_dict
 from slbench.datasets.store import index
-from slbench.datasets.store.shards import END, digest, key, pack, shard_name, unpack
+from slbench.datasets.store.sample import pack, unpack
+from slbench.datasets.store.shards import END, digest, key, shard_name
 from slbench.datasets.store.storage import Storage
 
 #: How often a sample is made before it counts as failed.

@@ -100,7 +100,7 @@ class Sample:
             raise InputError(self.where, expected, f"{len(content)}, the shard ends there")
         if self.verify and (found := shards.digest(content)) != self.row["sha256"]:
             raise InputError(self.where, f"SHA-256 {self.row['sha256']}", found)
-        return shards.unpack(self.number, content, self.where)
+        return sample.unpack(self.number, content, self.where)
 
     @cached_property
     def transport(self) -> LightTransport:

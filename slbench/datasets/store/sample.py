@@ -14,6 +14,11 @@
 ``p0r0.capture.toml``, ``p0r0.frame.000.png``, ...
     The frames of pattern set 0, repeat 0, and their manifest, for every set and repeat.
 
+What only some samples bring (meshes, modules, pictures) stands together in ``files.zip`` of the
+sample's tar entries, which every sample has: loaders such as Hugging Face ``datasets`` take the
+members of the first samples for those of all.  :func:`pack` puts it there, :func:`unpack` takes
+it out.
+
 Names are flat, so a sample's members written to one folder are files that every reader of the
 package takes as they are: ``load_scene(folder / "scene.toml")``,
 ``Capture.load(folder / "p0r0.capture.toml")``.
@@ -21,6 +26,7 @@ package takes as they are: ``load_scene(folder / "scene.toml")``,
 
 from __future__ import annotations
 
+import io
 import re
 import zipfile
 import zlib
@@ -32,7 +38,9 @@ from pathlib import Path
 from slbench.capture.capture import MANIFEST, Capture
 from slbench.core.errors import InputError
 from slbench.core.io import read_toml, write_toml
+from slbench.core.io.bounds import check_unpacked
 from slbench.core.io.scratch import scratch_folder, temporary_folder
+from slbench.datasets.store import shards
 from slbench.simulate.transport import LightTransport
 
 SCENE = "scene.toml"
@@ -45,7 +53,10 @@ PROVENANCE = "provenance.json"
 MODULE = "module"
 #: What every sample has.
 REQUIRED = (SCENE, RIG, TRANSPORT, TRUTH, SCORE, PROVENANCE)
+#: The member that holds what only some samples bring.
+FILES = "files.zip"
 
+_OF_CAPTURE = re.compile(r"p[0-9]+r[0-9]+\.")
 _CAPTURE = re.compile(r"(p[0-9]+r[0-9]+)\.capture\.toml")
 #: Bits of a float32's mantissa: with all of them the stored weights are the traced ones.
 EXACT_BITS = 23
@@ -115,6 +126,61 @@ def write_transport(path: Path, transport: LightTransport) -> None:
             method = zipfile.ZIP_DEFLATED if pays else zipfile.ZIP_STORED
             target.writestr(zipfile.ZipInfo(name), content, method)
     raw.unlink()
+
+
+def pack(number: int, members: Mapping[str, bytes]) -> bytes:
+    """Return a sample's tar entries, whose names do not depend on what it brings.
+
+    Parameters
+    ----------
+    number : int
+    members : mapping of str to bytes
+        By name without the key.
+    """
+    own = {name for name in members if name not in REQUIRED and not _OF_CAPTURE.match(name)}
+    kept = {name: content for name, content in members.items() if name not in own}
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in sorted(own):
+            shards.check_member(name)
+            # A ZipInfo of its own has no time.
+            archive.writestr(zipfile.ZipInfo(name), members[name], zipfile.ZIP_DEFLATED)
+    return shards.pack(number, kept | {FILES: stream.getvalue()})
+
+
+def unpack(number: int, content: bytes, where: str) -> dict[str, bytes]:
+    """Return a sample's members of its tar entries, those in ``files.zip`` beside the others.
+
+    Parameters
+    ----------
+    number : int
+        Which sample they must belong to.
+    content : bytes
+    where : str
+        Where they were read, for messages.
+
+    Raises
+    ------
+    InputError
+        If they are damaged, another sample's, or have names that :func:`pack` does not give.
+    """
+    members = shards.unpack(number, content, where)
+    packed = members.pop(FILES, None)  # none before layout 3
+    if packed is None:
+        return members
+    where = f"{where}: {FILES}"
+    try:
+        with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+            entries = archive.infolist()
+            check_unpacked(where, sum(entry.file_size for entry in entries), len(packed))
+            for entry in entries:
+                name = entry.filename
+                if not shards.is_member(name) or name in members:
+                    raise InputError(where, "files of the sample, each once", repr(name))
+                members[name] = archive.read(entry)
+    except (zipfile.BadZipFile, zlib.error, NotImplementedError, RuntimeError, EOFError) as error:
+        raise InputError(where, "a ZIP file", f"a damaged one ({error})") from None
+    return members
 
 
 def from_folder(folder: Path) -> dict[str, bytes]:

@@ -41,6 +41,12 @@ def is_member(name: str) -> bool:
     return _MEMBER.fullmatch(name) is not None
 
 
+def check_member(name: str) -> None:
+    """Refuse a name that no file of a sample may have."""
+    if not is_member(name):
+        raise InputError("sample member", "a plain name with a suffix", repr(name))
+
+
 def pack(sample: int, members: Mapping[str, bytes]) -> bytes:
     """Return the tar entries of one sample, sorted by name.
 
@@ -58,8 +64,7 @@ def pack(sample: int, members: Mapping[str, bytes]) -> bytes:
     """
     stream = io.BytesIO()
     for name in sorted(members):
-        if not is_member(name):
-            raise InputError("sample member", "a plain name with a suffix", repr(name))
+        check_member(name)
         entry = tarfile.TarInfo(f"{key(sample)}.{name}")
         entry.size = len(members[name])
         entry.mode = 0o644

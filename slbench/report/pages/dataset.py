@@ -1,7 +1,8 @@
 """The data card: what a data set holds and how it came about, for those who might use it.
 
 ``README.md`` beside the data, where hosting sites show it, with its pictures in ``card/``:
-a contact sheet, the heights of the same samples, and a histogram of every drawn quantity.
+a contact sheet, the heights of the same samples, and a histogram of every drawn quantity.  It
+starts with the YAML that the Hugging Face Hub reads: licence, size, and where the samples stand.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import tomli_w
+import yaml
 
 from slbench.core.errors import InputError
 from slbench.core.io import plain
@@ -23,8 +25,7 @@ from slbench.datasets.spec.distributions import column
 from slbench.datasets.spec.patterns import Patterns
 from slbench.datasets.spec.specification import from_dict
 from slbench.datasets.store import index
-from slbench.datasets.store.sample import REQUIRED, RIG, TRANSPORT, TRUTH, unpacked
-from slbench.datasets.store.shards import unpack
+from slbench.datasets.store.sample import REQUIRED, RIG, TRANSPORT, TRUTH, unpack, unpacked
 from slbench.datasets.store.storage import Storage
 from slbench.report.plots.layout import (
     TICK_PT,
@@ -48,6 +49,19 @@ _WIDTH, _GAP, _NAME, _BAR = 200.0, 6.0, 22.0, 90.0
 _ABREAST, _DRAWN_WIDTH, _DRAWN_HEIGHT = 4, 290.0, 200.0
 _MOST_BARS, _LETTERS = 12, 18
 _BINS = 16
+
+#: Licences that the Hub knows by these names, in lower case; others it takes as ``other``.
+_LICENCES = {
+    *("apache-2.0", "bsd-3-clause", "cc0-1.0", "cc-by-4.0", "cc-by-nc-4.0", "cc-by-nc-nd-4.0"),
+    *("cc-by-nc-sa-4.0", "cc-by-nd-4.0", "cc-by-sa-4.0", "gpl-3.0", "mit", "odbl", "odc-by"),
+    "pddl",
+}
+_UNKNOWN = "not stated"
+#: Names of the Hub for numbers of samples, by the least number that each is too small for.
+_SIZES = (
+    *((10**3, "n<1K"), (10**4, "1K<n<10K"), (10**5, "10K<n<100K"), (10**6, "100K<n<1M")),
+    (10**9, "n>1M"),
+)
 
 Row = Mapping[str, Any]
 
@@ -102,7 +116,7 @@ def card(
     """
     good = [row for row in rows if row["status"] == index.OK]
     failed = [row for row in rows if row["status"] != index.OK]
-    lines = [f"# {manifest.name}", ""]
+    lines = [*front_matter(manifest, len(good)), f"# {manifest.name}", ""]
     if manifest.description:
         lines += [manifest.description, ""]
     camera = manifest.specification["scene"].get("camera", {}).get("resolution_px")
@@ -145,6 +159,35 @@ def card(
     specification = plain(manifest.specification, keep_non_finite=True)
     lines += [tomli_w.dumps(specification).rstrip(), "```", ""]
     return "\n".join(lines)
+
+
+def front_matter(manifest: Manifest, samples: int) -> list[str]:
+    """Return the lines of YAML by which the Hugging Face Hub and its ``datasets`` know the data.
+
+    ``load_dataset(folder)`` gives the samples; all files of a data set have one format there, so
+    the index is read by itself, as Parquet.
+    """
+    known = manifest.licence.lower()
+    stated: dict[str, Any] = {"license": known}
+    if manifest.licence == _UNKNOWN:
+        stated = {"license": "unknown"}
+    elif known not in _LICENCES:
+        stated = {"license": "other", "license_name": manifest.licence}
+    values = {
+        "pretty_name": manifest.name,
+        **stated,
+        "size_categories": [next(name for most, name in _SIZES if samples < most)],
+        "task_categories": ["depth-estimation"],
+        "tags": ["structured-light", "fringe-projection", "light-transport", "synthetic"],
+        "configs": [
+            {
+                "config_name": "default",
+                "data_files": [{"split": "train", "path": "shards/*.tar"}],
+            }
+        ],
+    }
+    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True)
+    return ["---", *text.splitlines(), "---", ""]
 
 
 _USE = """\
