@@ -1,0 +1,290 @@
+"""A part of known shape placed by a measured cloud.
+
+A start is looked for by shape alone: iterated closest points from turns at random, of the cloud
+whole and of the cloud without its largest plane, which may be what the part stands on.  It is
+refined by the surface: with p a measured point and q, n the nearest point of the surface and its
+normal, the sum of the squares of ``n . (p - q)`` is made least over rigid motions of the part, with
+weights that leave out points that are far from it (Chen and Medioni, "Object modelling by
+registration of multiple range images", Image and Vision Computing 10, 1992; weights of Tukey).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.core.errors import InputError
+from slbench.core.random import generator
+from slbench.objects import Mesh
+from slbench.rig import Pose
+from slbench.rig.pose import product
+from slbench.score.alignment import best_motion
+from slbench.score.surface import Surface
+
+Array = NDArray[np.float64]
+
+#: Points that a place needs.
+LEAST = 50
+#: Points of the cloud and of the part that a start is looked for with; planes that are tried.
+_CLOUD, _SURFACE, _PLANES = 500, 4000, 300
+#: Turns that are tried, and share of the points of a plane that is looked for.
+_TURNS, _OF_PLANE = 300, 0.3
+#: Steps from every turn and from the best, share of the points kept, and starts that are refined.
+_FEW, _CLOSEST, _KEPT, _STARTS = 4, 25, 0.8, 3
+#: Steps of the refinement; a motion of so little, in shares of the cloud's size, ends it.
+STEPS, STILL = 30, 1e-8
+#: Tukey's constant, in deviations (1.4826 MAD).
+TUKEY = 4.685
+#: Motions that move the surface less than this share of the others are not told by it.
+TOLD = 5e-3
+#: Points that starts are compared with, and that the best one is refined with.
+_COARSE, _FINE = 4000, 40_000
+#: Share of the points on the surface with which no other side is looked for.
+_ENOUGH = 0.7
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Placed:
+    """Where a part is among points.
+
+    Parameters
+    ----------
+    pose : Pose
+        Of the part in the cloud's frame: ``to_local`` brings points to the part's.
+    scale_mm : float
+        Usual distance of the points from the surface, 1.4826 times the median.
+    agreeing : float
+        Share of the points within Tukey's limit of the surface.
+    free : tuple of str
+        Motions that the surface does not tell, such as a plane's along itself.
+    """
+
+    pose: Pose
+    scale_mm: float
+    agreeing: float
+    free: tuple[str, ...]
+
+
+def place_on_surface(
+    points: Array, mesh: Mesh, surface: Surface, start: Pose | None = None, eye: Array | None = None
+) -> Placed:
+    """Place a part by points that were measured of it.
+
+    Parameters
+    ----------
+    points : (N, 3) float
+        Some may be wrong, or of something else; finite, mm.
+    mesh : Mesh
+    surface : Surface
+        Of the mesh.
+    start : Pose, optional
+        About where the part is; looked for by default.
+    eye : (3,) float, optional
+        Direction from which the points were seen, where it is known: only what faces it counts in
+        the search for a start.
+
+    Returns
+    -------
+    Placed
+
+    Raises
+    ------
+    InputError
+        For fewer than 50 points.
+    """
+    if len(points) < LEAST:
+        raise InputError("place", f"at least {LEAST} points of the part", len(points))
+    rng = generator(0)
+    fine = points[rng.choice(len(points), min(len(points), _FINE), replace=False)]
+    coarse = fine[:_COARSE]
+    if start is not None:
+        best = _refined(surface, coarse, start)
+    else:
+        best = _best(surface, coarse, closest_starts(mesh, fine, _from(eye)))
+        if eye is None and best.agreeing < _ENOUGH:
+            # Points of one side: their middle is not the part's.
+            across = np.linalg.svd(coarse - coarse.mean(axis=0), full_matrices=False)[2][2]
+            for side in (across, -across):
+                other = _best(surface, coarse, closest_starts(mesh, fine, _from(side)))
+                best = _better(surface, coarse, best, other)
+    return _refined(surface, fine, best.pose)
+
+
+def _from(direction: Array | None) -> Callable[[Array], Array] | None:
+    """Return a function that gives the direction to the eye from a cloud's middle."""
+    return None if direction is None else lambda middle: direction
+
+
+def _best(surface: Surface, points: Array, starts: list[Pose]) -> Placed:
+    best: Placed | None = None
+    for start in starts:
+        one = _refined(surface, points, start)
+        best = one if best is None else _better(surface, points, best, one)
+    assert best is not None  # there is a start of every cloud
+    return best
+
+
+def _better(surface: Surface, points: Array, a: Placed, b: Placed) -> Placed:
+    """Return the placement with more points near the surface, near as the nearer one calls it."""
+    near = TUKEY * min(a.scale_mm, b.scale_mm)
+    counts = [
+        np.count_nonzero(np.abs(surface.nearest(one.pose.to_local(points), near).distance) <= near)
+        for one in (a, b)
+    ]
+    return a if counts[0] >= counts[1] else b
+
+
+def _refined(surface: Surface, points: Array, start: Pose) -> Placed:
+    """Return the place from a start."""
+    middle = np.median(points, axis=0)
+    size = float(np.linalg.norm(np.std(points, axis=0)))
+    pose = start
+    for _ in range(STEPS):
+        near = surface.nearest(pose.to_local(points))
+        away = np.abs(near.distance)
+        scale = usual(away)
+        normal = product(near.normal, pose.rotation.T)
+        residual = np.sum(normal * (points - pose.to_world(near.point)), axis=1)
+        weight = tukey(away, scale)
+        step, untold = least_motion(motion_rows(points, normal, middle, size), weight, residual)
+        if np.abs(step).max() <= STILL * size:
+            break
+        pose = moved(pose, step, middle, size)
+    return Placed(
+        pose=pose,
+        scale_mm=scale,
+        agreeing=float(np.mean(weight > 0.0)),
+        free=free_motions(untold),
+    )
+
+
+def usual(values: Array) -> float:
+    """Return the usual size of values, 1.4826 times the median of their magnitudes."""
+    return 1.4826 * float(np.median(np.abs(values))) + 1e-9
+
+
+def tukey(residual: Array, scale: float) -> Array:
+    """Return Tukey's weights of residuals."""
+    return np.clip(1.0 - (residual / (TUKEY * scale)) ** 2, 0.0, None) ** 2
+
+
+def motion_rows(points: Array, normals: Array, middle: Array, size: float) -> Array:
+    """Return derivatives of residuals along normals by a motion of the part, (n, 6).
+
+    A motion is a shift and a turn about `middle`; the turn's unit is 1 / `size`.
+    """
+    arm = (points - middle) / size
+    return np.concatenate((normals, np.cross(arm, normals)), axis=1)
+
+
+def least_motion(
+    rows: Array, weight: Array, residual: Array, least: float = TOLD
+) -> tuple[Array, Array]:
+    """Return the motion of least weighted squares, (6,), and those that are not told, (6, k)."""
+    root = np.sqrt(weight)[:, np.newaxis]
+    values, vectors = np.linalg.eigh((root * rows).T @ (root * rows))
+    told = values > least**2 * values[-1]
+    right = rows.T @ (weight * residual)
+    step = vectors[:, told] @ ((vectors[:, told].T @ right) / values[told])
+    return step, vectors[:, ~told]
+
+
+def moved(pose: Pose, step: Array, middle: Array, size: float) -> Pose:
+    """Return a pose after a motion (6,) of :func:`least_motion`."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_rotvec(step[3:] / size).as_matrix()
+    where = turn @ (pose.position - middle) + middle + step[:3]
+    return replace(pose, rotation=turn @ pose.rotation, position=where)
+
+
+def free_motions(untold: Array) -> tuple[str, ...]:
+    """Name the motions (6, k) that nothing tells: pure shifts, and turns about some axis."""
+    turns = int(np.linalg.matrix_rank(untold[3:], tol=0.1)) if untold.size else 0
+    words = {"shift": untold.shape[1] - turns, "turn": turns}
+    return tuple(
+        f"{count} {what}{'s' if count > 1 else ''}" for what, count in words.items() if count
+    )
+
+
+def largest_plane(points: Array) -> tuple[Array, Array, float]:
+    """Return a point and the normal of the plane of most points, and how near these are."""
+    rng = generator(0)
+    some = points[rng.choice(len(points), min(len(points), 4 * _CLOUD), replace=False)]
+    least, best = np.inf, (some[0], np.array([0.0, 0.0, 1.0]))
+    for _ in range(_PLANES):
+        a, b, c = some[rng.choice(len(some), 3, replace=False)]
+        normal = np.cross(b - a, c - a)
+        size = float(np.linalg.norm(normal))
+        if size > 0.0:
+            off = float(np.quantile(np.abs((some - a) @ normal), _OF_PLANE)) / size
+            if off < least:
+                least, best = off, (a, normal / size)
+    return *best, 3.0 * least + 1e-12
+
+
+def closest_starts(
+    mesh: Mesh, points: Array, towards: Callable[[Array], Array] | None
+) -> list[Pose]:
+    """Return the poses of a mesh from which closest points agree best.
+
+    The cloud is taken whole, and without its largest plane, which may be what the part stands on.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    points : (N, 3) float
+    towards : callable, optional
+        Direction to the eye from the middle of a cloud: of every turn only what faces it counts.
+    """
+    from scipy.spatial.transform import Rotation
+
+    rng = generator(0)
+    areas = mesh.face_areas
+    faces = rng.choice(len(areas), _SURFACE, p=areas / areas.sum())
+    corners = mesh.vertices[mesh.faces[faces]]
+    surface = np.einsum("nk,nkd->nd", rng.dirichlet((1.0, 1.0, 1.0), _SURFACE), corners)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    turns = Rotation.random(_TURNS, rng=rng).as_matrix()
+    found = []
+    for cloud in (points, _off_plane(points)):
+        if len(cloud) < LEAST:
+            continue
+        some = cloud[rng.choice(len(cloud), min(len(cloud), _CLOUD), replace=False)]
+        eye = None if towards is None else towards(np.median(some, axis=0))
+        own = [_closest(surface, normals, some, turn, eye, _FEW) for turn in turns]
+        own.sort(key=lambda pair: pair[0])
+        best = [
+            _closest(surface, normals, some, pose.rotation, eye, _CLOSEST)
+            for _, pose in own[: 10 * _STARTS]
+        ]
+        best.sort(key=lambda pair: pair[0])
+        found += [pose for _, pose in best[:_STARTS]]
+    return found
+
+
+def _off_plane(points: Array) -> Array:
+    """Return the points that are off the largest plane."""
+    point, normal, near = largest_plane(points)
+    return points[np.abs((points - point) @ normal) > 2.0 * near]
+
+
+def _closest(
+    surface: Array, normals: Array, points: Array, turn: Array, eye: Array | None, steps: int
+) -> tuple[float, Pose]:
+    """Return the trimmed distance and the pose of iterated closest points."""
+    from scipy.spatial import cKDTree
+
+    seen = surface if eye is None else surface[normals @ (turn.T @ eye) > 0.0]
+    tree = cKDTree(seen)
+    pose = Pose(turn, np.median(points, axis=0) - turn @ np.median(seen, axis=0))
+    distance = np.inf
+    for _ in range(steps):
+        away, nearest = tree.query(pose.to_local(points))
+        kept = away <= np.quantile(away, _KEPT)
+        distance = float(np.sqrt(np.mean(away[kept] ** 2)))
+        pose = best_motion(seen[nearest[kept]], points[kept])
+    return distance, pose
