@@ -40,6 +40,7 @@ SECTIONS = {
         "twin": "slbench.cli.twin:twin",
     },
     "Judge": {
+        "score": "slbench.cli.score:score",
         "compare": "slbench.cli.compare:compare",
         "check": "slbench.cli.check:check",
         "sweep": "slbench.cli.sweep:sweep",

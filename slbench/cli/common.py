@@ -18,6 +18,7 @@ from slbench.core.validation import types
 
 if TYPE_CHECKING:
     from slbench.patterns import Response
+    from slbench.rig import Pose
     from slbench.scene.model import Scene
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of a table.")]
@@ -132,6 +133,29 @@ def window_of(text: str, option: str) -> tuple[int, int, int, int]:
         raise InputError(option, "four whole numbers, such as 120,80,40,60", text)
     u, v, width, height = map(int, match.groups())
     return u, v, width, height
+
+
+def pose_of(text: str, option: str) -> Pose:
+    """Return the pose that an option states by six numbers, or three: mm and degrees.
+
+    Raises
+    ------
+    InputError
+        Naming the option.
+    """
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from slbench.rig import Pose
+
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) not in (3, 6) or not np.isfinite(values).all():
+        raise InputError(option, "three or six numbers, such as 0,0,-5 or 0,0,-5,0,0,90", text)
+    turn = Rotation.from_euler("XYZ", (values[3:] or [0.0, 0.0, 0.0]), degrees=True)
+    return Pose(turn.as_matrix(), np.array(values[:3]))
 
 
 def read_response(gamma: float | None, curve: Path | None) -> Response | None:

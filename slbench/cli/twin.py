@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -13,6 +13,7 @@ from slbench.cli.common import (
     AllowOutside,
     Json,
     Seed,
+    pose_of,
     print_json,
     print_table,
     progress,
@@ -20,9 +21,6 @@ from slbench.cli.common import (
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
 from slbench.core.validation.types import Bounces, Samples
-
-if TYPE_CHECKING:
-    from slbench.rig import Pose
 
 
 @command(
@@ -90,7 +88,7 @@ def twin(
     looks = material or ["matt-white-spray"]
     if len(looks) not in (1, len(shapes)):
         raise InputError("--material", f"one, or {len(shapes)}, one for each object", len(looks))
-    first = None if at is None else _pose(at)
+    first = None if at is None else pose_of(at, "--at")
     objects = [
         TwinObject(
             shape=shape,
@@ -136,20 +134,3 @@ def twin(
     for misfit in misfits:
         print(f"  {misfit}")
     print(f"Written to {out}: slbench scan {out / 'twin.toml'}")
-
-
-def _pose(text: str) -> Pose:
-    """Return the pose that six numbers state, or three."""
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    from slbench.rig import Pose
-
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) not in (3, 6):
-        raise InputError("--at", "three or six numbers, such as 0,0,-5 or 0,0,-5,0,0,90", text)
-    turn = Rotation.from_euler("XYZ", (values[3:] or [0.0, 0.0, 0.0]), degrees=True)
-    return Pose(turn.as_matrix(), np.array(values[:3]))

@@ -151,6 +151,25 @@ def scene_of(content: dict[str, Any], path: Path) -> Scene:
     return scene
 
 
+def objects_of(content: dict[str, Any], path: Path) -> tuple[SceneObject, ...]:
+    """Return the objects of a scene's content, merged already: its ``specification``.
+
+    Parameters
+    ----------
+    content : dict
+    path : Path
+        Where a file of that content would stand: what it names is relative to it.
+
+    Raises
+    ------
+    InputError
+        As :func:`load_scene`.
+    """
+    bare = {key: value for key, value in content.items() if key not in ("set", "modules")}
+    bare = {key: value for key, value in bare.items() if key != "calibration"}
+    return _objects(validated(tables_of(bare), bare, path.name, separator=": "), path)
+
+
 def load_settings(path: Path, *, allow_modules: bool = False) -> Scene:
     """Load a scene with a plane in the place of its objects, which cost most to load.
 

@@ -33,7 +33,11 @@ _CLOUD, _SURFACE, _PLANES = 500, 4000, 300
 #: Turns that are tried, and share of the points of a plane that is looked for.
 _TURNS, _OF_PLANE = 300, 0.3
 #: Steps from every turn and from the best, share of the points kept, and starts that are refined.
-_FEW, _CLOSEST, _KEPT, _STARTS = 4, 25, 0.8, 3
+_FEW, _CLOSEST, _KEPT, _STARTS = 4, 25, 0.8, 5
+#: Turns that are taken further.
+_TRIED = 30
+#: Starts that differ by less, as a share of the cloud's size, are one.
+_APART = 0.05
 #: Steps of the refinement; a motion of so little, in shares of the cloud's size, ends it.
 STEPS, STILL = 30, 1e-8
 #: Tukey's constant, in deviations (1.4826 MAD).
@@ -41,9 +45,12 @@ TUKEY = 4.685
 #: Motions that move the surface less than this share of the others are not told by it.
 TOLD = 5e-3
 #: Points that starts are compared with, and that the best one is refined with.
-_COARSE, _FINE = 4000, 40_000
-#: Share of the points on the surface with which no other side is looked for.
-_ENOUGH = 0.7
+_COARSE, _FINE = 2000, 40_000
+#: Distance of points that are of the part, once it is placed roughly, as a share of its size.
+_NEAR = 0.05
+#: Share of the points on the surface with which no other side is looked for, and how near it they
+#: are, as a share of its size.
+_ENOUGH, _CLOSE = 0.7, 2e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -66,6 +73,12 @@ class Placed:
     scale_mm: float
     agreeing: float
     free: tuple[str, ...]
+
+    @property
+    def to_part(self) -> Pose:
+        """The motion that brings points to the part: its ``to_world``."""
+        turn = self.pose.rotation.T
+        return Pose(turn, -turn @ self.pose.position)
 
 
 def place_on_surface(
@@ -99,46 +112,59 @@ def place_on_surface(
         raise InputError("place", f"at least {LEAST} points of the part", len(points))
     rng = generator(0)
     fine = points[rng.choice(len(points), min(len(points), _FINE), replace=False)]
-    coarse = fine[:_COARSE]
     if start is not None:
-        best = _refined(surface, coarse, start)
+        best = _refined(surface, fine[:_COARSE], start)
     else:
-        best = _best(surface, coarse, closest_starts(mesh, fine, _from(eye)))
-        if eye is None and best.agreeing < _ENOUGH:
-            # Points of one side: their middle is not the part's.
-            across = np.linalg.svd(coarse - coarse.mean(axis=0), full_matrices=False)[2][2]
-            for side in (across, -across):
-                other = _best(surface, coarse, closest_starts(mesh, fine, _from(side)))
-                best = _better(surface, coarse, best, other)
-    return _refined(surface, fine, best.pose)
+        best = _best(mesh, surface, fine, eye)
+        # Points of one side, unless it is known which: their middle is not the part's.
+        across = np.linalg.svd(fine - fine.mean(axis=0), full_matrices=False)[2][2]
+        for side in (across, -across):
+            if best.agreeing >= _ENOUGH and best.scale_mm <= _CLOSE * surface.size_mm:
+                break
+            other = _best(mesh, surface, fine, side)
+            best = _better(surface, clouds_of(fine), best, other)
+    # From here on, what is not near is something else.
+    return _refined(surface, fine, best.pose, _NEAR * surface.size_mm)
 
 
-def _from(direction: Array | None) -> Callable[[Array], Array] | None:
-    """Return a function that gives the direction to the eye from a cloud's middle."""
-    return None if direction is None else lambda middle: direction
+def _best(mesh: Mesh, surface: Surface, points: Array, eye: Array | None) -> Placed:
+    """Return the best place of all starts, each refined with the points that it came from."""
 
+    def towards(middle: Array) -> Array:
+        assert eye is not None  # only asked where it is known
+        return eye
 
-def _best(surface: Surface, points: Array, starts: list[Pose]) -> Placed:
+    clouds = clouds_of(points)
     best: Placed | None = None
-    for start in starts:
-        one = _refined(surface, points, start)
-        best = one if best is None else _better(surface, points, best, one)
-    assert best is not None  # there is a start of every cloud
+    for k, start in closest_starts(mesh, points, None if eye is None else towards):
+        one = _refined(surface, clouds[k][:_COARSE], start)
+        best = one if best is None else _better(surface, clouds, best, one)
+    assert best is not None  # there is a start of the whole cloud
     return best
 
 
-def _better(surface: Surface, points: Array, a: Placed, b: Placed) -> Placed:
-    """Return the placement with more points near the surface, near as the nearer one calls it."""
+def _better(surface: Surface, clouds: list[Array], a: Placed, b: Placed) -> Placed:
+    """Return the placement with more points near the surface, near as the nearer one calls it.
+
+    Points off the largest plane count for themselves: a plane fits many places.
+    """
     near = TUKEY * min(a.scale_mm, b.scale_mm)
-    counts = [
-        np.count_nonzero(np.abs(surface.nearest(one.pose.to_local(points), near).distance) <= near)
-        for one in (a, b)
-    ]
-    return a if counts[0] >= counts[1] else b
+
+    def share(one: Placed, points: Array) -> float:
+        distance = surface.nearest(one.pose.to_local(points[:_COARSE]), near).distance
+        return float(np.mean(np.isfinite(distance)))
+
+    first, second = (sum(share(one, points) for points in clouds) for one in (a, b))
+    return a if first >= second else b
 
 
-def _refined(surface: Surface, points: Array, start: Pose) -> Placed:
-    """Return the place from a start."""
+def _refined(surface: Surface, points: Array, start: Pose, reach_mm: float = np.inf) -> Placed:
+    """Return the place from a start, by the points within reach; the others agree with nothing."""
+    given = len(points)
+    if np.isfinite(reach_mm):
+        near = surface.nearest(start.to_local(points), reach_mm)
+        within = points[near.face >= 0]
+        points = within if len(within) >= LEAST else points
     middle = np.median(points, axis=0)
     size = float(np.linalg.norm(np.std(points, axis=0)))
     pose = start
@@ -156,7 +182,7 @@ def _refined(surface: Surface, points: Array, start: Pose) -> Placed:
     return Placed(
         pose=pose,
         scale_mm=scale,
-        agreeing=float(np.mean(weight > 0.0)),
+        agreeing=float(np.count_nonzero(weight)) / given,
         free=free_motions(untold),
     )
 
@@ -228,10 +254,10 @@ def largest_plane(points: Array) -> tuple[Array, Array, float]:
 
 def closest_starts(
     mesh: Mesh, points: Array, towards: Callable[[Array], Array] | None
-) -> list[Pose]:
-    """Return the poses of a mesh from which closest points agree best.
+) -> list[tuple[int, Pose]]:
+    """Return the poses of a mesh from which closest points agree best, and by which cloud.
 
-    The cloud is taken whole, and without its largest plane, which may be what the part stands on.
+    Clouds are those of :func:`clouds_of`.
 
     Parameters
     ----------
@@ -250,26 +276,42 @@ def closest_starts(
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     turns = Rotation.random(_TURNS, rng=rng).as_matrix()
     found = []
-    for cloud in (points, _off_plane(points)):
-        if len(cloud) < LEAST:
-            continue
+    for k, cloud in enumerate(clouds_of(points)):
         some = cloud[rng.choice(len(cloud), min(len(cloud), _CLOUD), replace=False)]
         eye = None if towards is None else towards(np.median(some, axis=0))
         own = [_closest(surface, normals, some, turn, eye, _FEW) for turn in turns]
         own.sort(key=lambda pair: pair[0])
         best = [
             _closest(surface, normals, some, pose.rotation, eye, _CLOSEST)
-            for _, pose in own[: 10 * _STARTS]
+            for _, pose in own[:_TRIED]
         ]
         best.sort(key=lambda pair: pair[0])
-        found += [pose for _, pose in best[:_STARTS]]
+        size = float(np.linalg.norm(np.std(some, axis=0)))
+        found += [(k, pose) for pose in _different([pose for _, pose in best], some, size)]
     return found
 
 
-def _off_plane(points: Array) -> Array:
-    """Return the points that are off the largest plane."""
+def _different(poses: list[Pose], points: Array, size: float) -> list[Pose]:
+    """Return the first poses that bring points to different places."""
+    found: list[Pose] = []
+    for pose in poses:
+        # Turned or shifted, points of the part are elsewhere.
+        away = [
+            np.sqrt(np.mean(np.sum((pose.to_local(points) - one.to_local(points)) ** 2, axis=1)))
+            for one in found
+        ]
+        if min(away, default=np.inf) > _APART * size:
+            found.append(pose)
+        if len(found) == _STARTS:
+            break
+    return found
+
+
+def clouds_of(points: Array) -> list[Array]:
+    """Return a cloud whole, and without its largest plane, which may be what the part stands on."""
     point, normal, near = largest_plane(points)
-    return points[np.abs((points - point) @ normal) > 2.0 * near]
+    off = points[np.abs((points - point) @ normal) > 2.0 * near]
+    return [points, off] if len(off) >= LEAST else [points]
 
 
 def _closest(

@@ -125,6 +125,7 @@ def score(
     phase: PhaseMap,
     objects: tuple[SceneObject, ...] = (),
     rig: Rig | None = None,
+    errors: Array | None = None,
 ) -> Score:
     """Score a point cloud against exact truth.
 
@@ -139,13 +140,16 @@ def score(
         Whose features are fitted, to points on smooth lit surface.
     rig : Rig, optional
         So that spheres are fitted where they face both devices.
+    errors : (N, 3) float, optional
+        Of the points; :func:`point_errors` by default, which takes every point as one of its
+        pixel's centre ray.
 
     Returns
     -------
     Score
         Numbers are NaN where nothing was measured.
     """
-    error = point_errors(cloud, truth)
+    error = point_errors(cloud, truth) if errors is None else errors
     lit = np.isfinite(error[:, 0])
     distance = np.linalg.norm(error[lit], axis=-1)
     z = error[lit, 2]
@@ -164,7 +168,7 @@ def score(
     features = _features(cloud, truth.object_id, in_smooth, objects, rig)
     return Score(
         points=len(cloud),
-        completeness=_ratio(np.count_nonzero(lit), np.count_nonzero(truth.lit)),
+        completeness=_ratio(_pixels(cloud, lit), np.count_nonzero(truth.lit)),
         false_points=int(np.count_nonzero(~lit)),
         outliers=int(np.count_nonzero(np.abs(z - median) > limit)),
         bias_z_mm=_mean(z),
@@ -186,6 +190,14 @@ def score(
         spheres=[f for f in features if isinstance(f, SphereScore)],
         spacings=[f for f in features if isinstance(f, SpacingScore)],
     )
+
+
+def _pixels(cloud: PointCloud, chosen: NDArray[np.bool_]) -> int:
+    """Return how many pixels the chosen points are of."""
+    seen = np.zeros(cloud.shape, np.bool_)
+    u, v = cloud.pixels[chosen].T
+    seen[v, u] = True
+    return int(np.count_nonzero(seen))
 
 
 def _axes(phase: PhaseMap) -> list[tuple[int, Any]]:

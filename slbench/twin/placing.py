@@ -122,18 +122,19 @@ def place(artefact: Artefact, cloud: PointCloud, rig: Rig, start: Pose | None = 
         starts = [_on_plane(cloud.points, rig)]
     else:
         eye = rig.camera.pose.position
-        starts = closest_starts(artefact.mesh, cloud.points, lambda middle: eye - middle)
+        found = closest_starts(artefact.mesh, cloud.points, lambda middle: eye - middle)
+        starts = [start for _, start in found]
     surfaces = Surfaces((SceneObject(artefact),))
     few = _stride(rig.camera.width)
     coarse = _View(surfaces, *_thinned(cloud, rig, few, few))
-    found = [seen for seen in (_refined(coarse, one) for one in starts) if seen is not None]
-    if not found:
+    tried = [seen for seen in (_refined(coarse, one) for one in starts) if seen is not None]
+    if not tried:
         raise InputError(
             "place", f"{artefact.name} where the points are", "rays that meet no part of it"
         )
     # The most points near the surface: near is what the best one calls so.
-    near = TUKEY * min(one.scale for one in found)
-    first = max(found, key=lambda one: np.count_nonzero(np.abs(one.residual) <= near))
+    near = TUKEY * min(one.scale for one in tried)
+    first = max(tried, key=lambda one: np.count_nonzero(np.abs(one.residual) <= near))
     best, weak = first.pose, first.step(_WEAK)[1]
     if artefact.kind != "plane" and np.linalg.norm(weak[:3]) > _SHIFTS:
         # An edge along a column is as sharp as pixels are near to each other across it.

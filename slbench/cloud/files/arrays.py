@@ -104,11 +104,18 @@ def read_exr_cloud(path: Path, unit: str | None) -> MeasuredCloud:
         if any(name.startswith("panel.") for name in channels):
             have += ": panel coordinates, which slbench score takes with --truth"
         raise InputError(path, "channels point.X, point.Y, point.Z", have)
-    scale = MILLIMETRES[unit or "mm"]
+    used = unit or "mm"
     v, u = np.indices(array.shape[:2])
     pixels = np.column_stack((u.ravel(), v.ravel())).astype(np.int32)
-    flat = scale * array.reshape(-1, 3)
-    return finite_cloud(flat, path, pixels=pixels, shape=array.shape[:2])
+    return finite_cloud(
+        MeasuredCloud(
+            MILLIMETRES[used] * array.reshape(-1, 3),
+            pixels=pixels,
+            shape=array.shape[:2],
+            unit=used,
+            source=str(path),
+        )
+    )
 
 
 def read_vertices_of_mesh(path: Path, unit: str | None) -> MeasuredCloud:

@@ -82,7 +82,8 @@ def cloud_of(
     written = stated.get("x")
     if unit is not None and written is not None and unit != written:
         raise InputError(source, f"coordinates in {written}, as the header says", f"--unit {unit}")
-    scale = MILLIMETRES[unit or written or usual]
+    used = unit or written or usual
+    scale = MILLIMETRES[used]
     points = np.stack([np.asarray(named.pop(axis), np.float64) for axis in "xyz"], axis=1)
     normals = _normals(named)
     grey = _grey(named)
@@ -90,19 +91,11 @@ def cloud_of(
     for name, values in named.items():
         own_scale = MILLIMETRES[stated[name]] if name in stated else scale
         scalars[name] = np.asarray(values, np.float64) * (own_scale if name in LENGTHS else 1.0)
-    return finite_cloud(points * scale, source, normals=normals, grey=grey, scalars=scalars)
+    known = MeasuredCloud(points * scale, normals, grey, scalars, unit=used, source=str(source))
+    return finite_cloud(known)
 
 
-def finite_cloud(
-    points: Array,
-    source: object,
-    *,
-    normals: Array | None = None,
-    grey: Array | None = None,
-    scalars: Mapping[str, Array] | None = None,
-    pixels: NDArray[np.int32] | None = None,
-    shape: tuple[int, int] | None = None,
-) -> MeasuredCloud:
+def finite_cloud(cloud: MeasuredCloud) -> MeasuredCloud:
     """Return a cloud without the points that are not finite.
 
     Raises
@@ -110,14 +103,11 @@ def finite_cloud(
     InputError
         If none is.
     """
-    cloud = MeasuredCloud(points, normals, grey, scalars or {}, pixels, shape, source=str(source))
-    kept: NDArray[np.bool_] = np.isfinite(points.sum(axis=1))
-    count = int(np.count_nonzero(kept))
+    kept: NDArray[np.bool_] = np.isfinite(cloud.points.sum(axis=1))
+    count, given = int(np.count_nonzero(kept)), len(cloud)
     if count == 0:
-        raise InputError(source, "a cloud with finite points", f"{len(points)} points, none finite")
-    if count == len(points):
-        return cloud
-    return replace(cloud.chosen(kept), dropped=len(points) - count)
+        raise InputError(cloud.source, "a cloud with finite points", f"{given}, none finite")
+    return cloud if count == given else replace(cloud.chosen(kept), dropped=given - count)
 
 
 def _normals(named: dict[str, NDArray[Any]]) -> Array | None:

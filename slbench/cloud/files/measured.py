@@ -36,6 +36,8 @@ class MeasuredCloud:
         Of that map (V, U).
     dropped : int
         Points that were left out as they were not finite.
+    unit : str
+        Of the lengths in the file.
     source : str
         Where it was read.
     """
@@ -47,6 +49,7 @@ class MeasuredCloud:
     pixels: NDArray[np.int32] | None = None
     shape: tuple[int, int] | None = None
     dropped: int = 0
+    unit: str = "mm"
     source: str = "cloud"
 
     def __len__(self) -> int:

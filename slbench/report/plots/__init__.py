@@ -14,6 +14,7 @@ DRAWERS: dict[str, str] = {
     "slbench.patterns.decode:PhaseMap": "slbench.report.plots.stream:phase_map",
     "slbench.cloud.triangulation:PointCloud": "slbench.report.plots.stream:cloud",
     "slbench.simulate.scan:Scan": "slbench.report.plots.scan:summary",
+    "slbench.score.cloudscore:CloudScore": "slbench.report.plots.cloudscore:draw",
     "slbench.twin.twin:Twin": "slbench.report.plots.twin:draw",
     "slbench.bench.compare.comparison:Comparison": "slbench.report.pages.compare:draw",
     "slbench.bench.budget.budget:Budget": "slbench.report.plots.budget:draw",

@@ -1,0 +1,203 @@
+"""What a measured cloud is worth, by whatever it is held against."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.core.show.display import block, length
+from slbench.core.show.document import Table
+from slbench.core.show.drawing import figure
+from slbench.rig import Pose
+from slbench.score.expected import DEVIATIONS, LEAST_SHARE, Expected
+from slbench.score.points import Score
+from slbench.score.tiles import Statistic, intervals
+
+Array = NDArray[np.float64]
+
+#: Numbers of a score with an interval, as the score computes them.
+_OF_DISTANCE: dict[str, Any] = {
+    "rms_mm": lambda d: float(np.sqrt(np.mean(d**2))),
+    "median_abs_mm": lambda d: float(np.median(d)),
+    "p95_abs_mm": lambda d: float(np.percentile(d, 95)),
+}
+_OF_HEIGHT: dict[str, Any] = {
+    "bias_z_mm": lambda z: float(np.mean(z)),
+    "rms_z_mm": lambda z: float(np.sqrt(np.mean(z**2))),
+    "mad_mm": lambda z: float(np.median(np.abs(z - np.median(z)))),
+}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class CloudScore:
+    """Score of a cloud from anywhere.
+
+    Parameters
+    ----------
+    score : Score
+        The numbers of a scan's score, as far as the reference tells them; NaN otherwise.
+    reference : str
+        What it was held against, ``"truth"``, ``"artefact"`` or ``"mesh"``.
+    name : str
+        Of the reference.
+    source : str
+        Of the cloud.
+    points : (N, 3) float
+        In the reference's frame, mm; N all points of the cloud but those left out.
+    deviation_mm : (N,) float
+        Distance from the reference, positive outside and towards the camera; NaN out of reach.
+    share : float
+        Of all points within three expected deviations of the reference.
+    expected : Expected
+    intervals : mapping of str to (float, float)
+        95 % intervals of numbers of the score (:mod:`slbench.score.tiles`).
+    dropped : int
+        Points of the file that were not finite.
+    background : int
+        Points of a plane that the part stands on: left out.
+    motion : Pose, optional
+        What moved the cloud to the reference: its ``to_world``.
+    free : tuple of str
+        Motions that the reference's shape does not tell.
+    parameters : mapping
+        For the provenance.
+    """
+
+    score: Score
+    reference: str
+    name: str
+    source: str
+    points: Array
+    deviation_mm: Array
+    share: float
+    expected: Expected
+    intervals: Mapping[str, tuple[float, float]]
+    dropped: int = 0
+    background: int = 0
+    motion: Pose | None = None
+    free: tuple[str, ...] = ()
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        return block(
+            f"CloudScore of {self.source} against {self.reference} {self.name}",
+            *repr(self.score).splitlines(),
+            f"{100 * self.share:.1f} % within {DEVIATIONS:g} expected deviations "
+            f"({self.expected.source}, {length(self.expected.median_mm)})",
+        )
+
+    def _repr_html_(self) -> str:
+        return self.table()._repr_html_()
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the numbers as they are shown, (quantity, value)."""
+        spread = {
+            name: f" ({1e3 * low:.2f} to {1e3 * high:.2f})"
+            for name, (low, high) in self.intervals.items()
+            if np.isfinite(low)
+        }
+        shown = {
+            "median error": "median_abs_mm",
+            "95th percentile": "p95_abs_mm",
+            "RMS error, edges included": "rms_mm",
+        }
+        rows = []
+        for quantity, value in self.score.rows():
+            if "nan" in value:
+                continue
+            if self.reference != "truth":
+                value = value.replace("of lit pixels", "of the surface")
+            rows.append((quantity, value + spread.get(shown.get(quantity, ""), "")))
+        word = f"within {DEVIATIONS:g} expected deviations"
+        expected = f"{self.expected.source}, {length(self.expected.median_mm)}"
+        rows.append((word, f"{100 * self.share:.2f} % of the points ({expected})"))
+        if self.dropped:
+            rows.append(("not finite, left out", f"{self.dropped}"))
+        if self.background:
+            rows.append(("of a plane behind, left out", f"{self.background}"))
+        if self.motion is not None:
+            cosine = 0.5 * (float(np.trace(self.motion.rotation)) - 1.0)
+            turn = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+            shift = length(float(np.linalg.norm(self.motion.position)))
+            rows.append(("aligned by", f"{turn:.3g}° and {shift}"))
+        if self.free:
+            rows.append(("not told by the shape", ", ".join(self.free)))
+        return rows
+
+    def table(self) -> Table:
+        """Return the numbers as a table."""
+        note = "In brackets: 95 % intervals, by tiles of this cloud."
+        title = f"{self.source} against {self.reference} {self.name}"
+        return Table(title, ("quantity", "value"), tuple(self.rows()), note)
+
+    def features(self) -> Table | None:
+        """Return the table of certified features; None where there are none."""
+        score, um = self.score, 1e3
+        rows: list[tuple[str | float | None, ...]] = []
+        for kind, lengths in (("step", score.steps), ("spacing", score.spacings)):
+            rows += [
+                (
+                    *(f"{kind} {x.name}", x.nominal_mm, x.measured_mm),
+                    *(um * x.deviation_mm, um * x.uncertainty_mm),
+                )
+                for x in lengths
+            ]
+        for x in score.spheres:
+            measured = (f"radius {x.name}", x.nominal_radius_mm, x.radius_mm)
+            rows.append((*measured, um * x.radius_deviation_mm, um * x.radius_uncertainty_mm))
+            rows.append((f"form {x.name}", 0.0, x.form_mm, um * x.form_mm, None))
+        for y in score.planes:
+            rows.append((f"flatness {y.name}", 0.0, y.flatness_mm, um * y.flatness_mm, None))
+        if not rows:
+            return None
+        columns = ("feature", "certified / mm", "measured / mm", "deviation / µm", "u / µm")
+        return Table("Features", columns, tuple(rows))
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: deviations from two sides, and how they are distributed."""
+        return figure(self)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON: those of a scan's ``score.json``, and what is more."""
+        result: dict[str, Any] = {
+            "source": self.source,
+            "reference": {"kind": self.reference, "name": self.name},
+            **self.score.to_dict(),
+            "intervals": {name: list(ends) for name, ends in self.intervals.items()},
+            "dropped": self.dropped,
+            "background": self.background,
+            "within_three_expected": self.share,
+            "least_within_three_expected": LEAST_SHARE,
+            "expected_mm": self.expected.median_mm,
+            "expected_from": self.expected.source,
+        }
+        if self.motion is not None:
+            motion = {"rotation": self.motion.rotation, "position_mm": self.motion.position}
+            result |= {"motion": motion, "free": list(self.free)}
+        return result
+
+
+def score_intervals(
+    tiles: NDArray[np.intp], distance: Array, height: Array
+) -> dict[str, tuple[float, float]]:
+    """Return intervals of a score's numbers by tiles of its points.
+
+    Parameters
+    ----------
+    tiles : (N,) int
+    distance : (N,) float
+        Magnitude of each error.
+    height : (N,) float
+        Its component along z.
+    """
+
+    def of(values: Array, statistic: Any) -> Statistic:
+        return lambda chosen: float(statistic(values[chosen]))
+
+    statistics = {name: of(distance, one) for name, one in _OF_DISTANCE.items()}
+    statistics |= {name: of(height, one) for name, one in _OF_HEIGHT.items()}
+    return intervals(tiles, statistics)
