@@ -75,6 +75,7 @@ from .scene.model import Scene as Scene
 from .scene.model import SceneObject as SceneObject
 from .scene.truth import GroundTruth as GroundTruth
 from .score.points import Score as Score
+from .score.scored import score_cloud as score_cloud
 from .simulate.render.backend.llvm import BackendError as BackendError
 from .simulate.scan import Scan as Scan
 from .simulate.scan import scan as scan

@@ -15,7 +15,7 @@ from slbench.core.validation.types import Positive
 Unit = Literal["um", "mm", "cm", "inch", "m"]
 
 
-@command("slbench score cloud.ply --artefact step-block-20 --report score.html")
+@command("slbench score out/step-block --truth out/step-block --report out/score.html")
 def score(
     measured: Annotated[
         Path,

@@ -17,12 +17,7 @@ from slbench.core.errors import InputError
 from slbench.objects import Artefact
 from slbench.rig import Pose
 from slbench.score.cloudscore import CloudScore, score_intervals
-from slbench.score.expected import (
-    background,
-    check_part,
-    expected_deviations,
-    question_unit,
-)
+from slbench.score.expected import DEVIATIONS, check_part, expected_deviations, question_unit
 from slbench.score.features import (
     FeatureScore,
     PlaneScore,
@@ -31,7 +26,7 @@ from slbench.score.features import (
     StepScore,
     fit_features,
 )
-from slbench.score.placing import LEAST, Placed, largest_plane, place_on_surface
+from slbench.score.placing import LEAST, Placed, largest_plane, place_on_surface, plane_behind
 from slbench.score.points import Score
 from slbench.score.surface import Nearest, Surface
 from slbench.score.tiles import tiles_of
@@ -82,7 +77,7 @@ def score_against_part(
     Raises
     ------
     InputError
-        For fewer than 50 points, and if fewer than half of them lie within three expected
+        For fewer than 50 points, and if fewer than 70 % of them lie within three expected
         deviations of the part.
 
     Warns
@@ -103,7 +98,9 @@ def score_against_part(
     near = surface.nearest(cloud.points, REACH * surface.size_mm)
     away = np.abs(near.distance)
     expected = expected_deviations(cloud, away, surface.size_mm, expected_um)
-    other = background(cloud.points, away, expected)
+    limit = DEVIATIONS * expected.mm
+    with np.errstate(invalid="ignore"):
+        other = plane_behind(cloud.points, surface.bounds, limit) & ~(away <= limit)
     kept = ~other
     expected = replace(expected, mm=expected.mm[kept])
     cloud, away = cloud.chosen(kept), away[kept]

@@ -201,7 +201,7 @@ def score_against_truth(
     Raises
     ------
     InputError
-        If the camera does not see half of the points where they are, or fewer than half of them
+        If the camera does not see half of the points where they are, or fewer than 70 % of them
         lie within three expected deviations of the truth.
 
     Warns

@@ -52,7 +52,7 @@ def best_motion(points: Array, true: Array) -> Pose:
     kept = np.isfinite(points).all(axis=1) & np.isfinite(true).all(axis=1)
     if np.count_nonzero(kept) < _LEAST:
         raise InputError("alignment", f"at least {_LEAST} points with a truth", int(kept.sum()))
-    motion = _kabsch(points[kept], true[kept])
+    motion = rigid_fit(points[kept], true[kept])
     for _ in range(_ROUNDS):
         residual = np.linalg.norm(motion.to_world(points) - true, axis=1)
         limit = _BEYOND * 1.4826 * float(np.median(residual[kept])) + 1e-12
@@ -61,11 +61,12 @@ def best_motion(points: Array, true: Array) -> Pose:
         if np.count_nonzero(now) < _LEAST or np.array_equal(now, kept):
             break
         kept = now
-        motion = _kabsch(points[kept], true[kept])
+        motion = rigid_fit(points[kept], true[kept])
     return motion
 
 
-def _kabsch(points: Array, true: Array) -> Pose:
+def rigid_fit(points: Array, true: Array) -> Pose:
+    """Return the rigid motion of least squares of all points, (n, 3) each (Kabsch 1976)."""
     middle, target = points.mean(axis=0), true.mean(axis=0)
     left, _, right = np.linalg.svd((points - middle).T @ (true - target))
     mirror = np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))])

@@ -1,14 +1,14 @@
 """How far points of the right part may be off, and when a cloud is one of another part.
 
-A cloud is held to be of another part where fewer than half of its points lie within three expected
+A cloud is held to be of another part where fewer than 70 % of its points lie within three expected
 deviations of the reference.  The expected deviation of a point is what the user says; else the
 uncertainty ``u`` that the cloud carries, else its ``sigma``; else the usual distance from the
-reference itself, but at most two thousandths of the reference's size: scanners measure to a
-thousandth of their field and better, and a wrong part lies some per cent off.
+reference itself, but at most two thousandths of the size of reference and cloud: scanners measure
+to a thousandth of their field and better, and a wrong part lies some per cent off.
 
-The half leaves room for edges and wrong points.  A plane that the part stands on does not count:
-the largest plane of the cloud, as far as it is not on the part.  Another background should be cut
-off.
+The rest leaves room for edges and wrong points.  A plane that the part stands on does not count:
+the largest plane of the cloud, as far as it is outside the box about the part.  Another background
+should be cut off.
 """
 
 from __future__ import annotations
@@ -22,16 +22,13 @@ from slbench.cloud.files.measured import MeasuredCloud
 from slbench.core.errors import InputError, warn_user
 from slbench.core.show.display import length
 from slbench.core.units import MILLIMETRES
-from slbench.score.placing import largest_plane
 
 Array = NDArray[np.float64]
 
 #: Least share of a part's points within so many expected deviations of it.
-LEAST_SHARE, DEVIATIONS = 0.5, 3.0
+LEAST_SHARE, DEVIATIONS = 0.7, 3.0
 #: Largest deviation that is expected where nobody states one, as a share of the reference's size.
 LARGEST_SHARE = 2e-3
-#: Half the thickness of a plane, in those that :func:`largest_plane` calls near.
-_FLAT = 4.0
 #: Rounding of coordinates in single precision.
 _ROUNDING = 2.0**-23
 #: A cloud and its reference differ less than this in size, where both are in one unit.
@@ -85,19 +82,9 @@ def expected_deviations(
             filled = np.where(known, own, np.median(own[known]))
             return Expected(np.maximum(filled, least), name)
     near = np.where(np.isfinite(away), away, np.inf)
-    usual = min(1.4826 * float(np.median(near)), LARGEST_SHARE * size_mm)
+    # Of a cloud that is far too small everything is near.
+    usual = min(1.4826 * float(np.median(near)), LARGEST_SHARE * min(size_mm, cloud.size_mm))
     return Expected(np.full(len(cloud), max(usual, least)), "usual distance")
-
-
-def background(points: Array, away: Array, expected: Expected) -> NDArray[np.bool_]:
-    """Return a mask of the points of a plane that a part stands on or before, (N,).
-
-    They lie in the largest plane of the cloud and not on the part.
-    """
-    point, normal, near = largest_plane(points)
-    flat = np.abs((points - point) @ normal) <= _FLAT * near
-    with np.errstate(invalid="ignore"):
-        return flat & ~(away <= DEVIATIONS * expected.mm)
 
 
 def check_part(cloud: MeasuredCloud, away: Array, expected: Expected, name: str) -> float:
@@ -106,7 +93,7 @@ def check_part(cloud: MeasuredCloud, away: Array, expected: Expected, name: str)
     Raises
     ------
     InputError
-        If fewer than half of them are: a cloud of another part.
+        If fewer than 70 % of them are: a cloud of another part.
     """
     with np.errstate(invalid="ignore"):
         share = float(np.mean(away <= DEVIATIONS * expected.mm))

@@ -21,7 +21,7 @@ from slbench.core.random import generator
 from slbench.objects import Mesh
 from slbench.rig import Pose
 from slbench.rig.pose import product
-from slbench.score.alignment import best_motion
+from slbench.score.alignment import rigid_fit
 from slbench.score.surface import Surface
 
 Array = NDArray[np.float64]
@@ -38,6 +38,8 @@ _FEW, _CLOSEST, _KEPT, _STARTS = 4, 25, 0.8, 5
 _TRIED = 30
 #: Starts that differ by less, as a share of the cloud's size, are one.
 _APART = 0.05
+#: Points that a plane is fitted to.
+_PLANE = 100_000
 #: Steps of the refinement; a motion of so little, in shares of the cloud's size, ends it.
 STEPS, STILL = 30, 1e-8
 #: Tukey's constant, in deviations (1.4826 MAD).
@@ -48,6 +50,12 @@ TOLD = 5e-3
 _COARSE, _FINE = 2000, 40_000
 #: Distance of points that are of the part, once it is placed roughly, as a share of its size.
 _NEAR = 0.05
+#: Motions that faces tell so little of, as a share of the best told, are looked for by the ends of
+#: faces: with so many points and by steps of such a share of the part's size, one after the other,
+#: in so many trials for each motion, until they differ by such a share.
+_WEAK = 0.05
+_SEARCHES = ((2000, 0.02), (10_000, 0.004), (_FINE, 0.001))
+_TRIALS, _STILL_EXTENT = 25, 1e-5
 #: Share of the points on the surface with which no other side is looked for, and how near it they
 #: are, as a share of its size.
 _ENOUGH, _CLOSE = 0.7, 2e-3
@@ -124,7 +132,57 @@ def place_on_surface(
             other = _best(mesh, surface, fine, side)
             best = _better(surface, clouds_of(fine), best, other)
     # From here on, what is not near is something else.
-    return _refined(surface, fine, best.pose, _NEAR * surface.size_mm)
+    reach = _NEAR * surface.size_mm
+    near, local = TUKEY * best.scale_mm, best.pose.to_local(fine)
+    behind = plane_behind(local, surface.bounds, np.full(len(fine), near))
+    on = np.count_nonzero(np.isfinite(surface.nearest(local[behind], near).distance))
+    # A plane of which most points are on the part is the part's own.
+    if 2 * on < np.count_nonzero(behind) and np.count_nonzero(~behind) >= LEAST:
+        fine = fine[~behind]
+    pose, told = best.pose, TOLD
+    for count, share in _SEARCHES:
+        own = fine[:count]
+        weak = _weak(surface, own, pose)
+        if not weak.size:
+            break
+        told = _WEAK
+        pose = _by_extent(surface, own, pose, weak, reach, share)
+        pose = _refined(surface, own, pose, reach, told).pose
+    return _refined(surface, fine, pose, reach, told)
+
+
+def _weak(surface: Surface, points: Array, pose: Pose) -> Array:
+    """Return the motions (6, k) that the normals of the surface hardly tell."""
+    near = surface.nearest(pose.to_local(points))
+    away = np.abs(near.distance)
+    middle, size = np.median(points, axis=0), float(np.linalg.norm(np.std(points, axis=0)))
+    rows = motion_rows(points, product(near.normal, pose.rotation.T), middle, size)
+    return least_motion(rows, tukey(away, usual(away)), away, _WEAK)[1]
+
+
+def _by_extent(
+    surface: Surface, points: Array, start: Pose, weak: Array, reach_mm: float, share: float
+) -> Pose:
+    """Return the pose at which points are nearest to the surface, moved by `weak` (6, k) alone.
+
+    Along itself a face does not tell where it is; its ends do, beyond which no point should be.
+    """
+    from scipy.optimize import minimize
+
+    middle, size = np.median(points, axis=0), float(np.linalg.norm(np.std(points, axis=0)))
+
+    def off(step: Array) -> float:
+        pose = moved(start, weak @ step, middle, size)
+        away = np.abs(surface.nearest(pose.to_local(points), reach_mm).distance)
+        return float(np.mean(np.nan_to_num(away, nan=reach_mm)))
+
+    none = np.zeros(weak.shape[1])
+    simplex = np.concatenate((none[np.newaxis], share * surface.size_mm * np.eye(len(none))))
+    options = {"initial_simplex": simplex, "maxfev": _TRIALS * len(none), "fatol": 0.0}
+    options["xatol"] = _STILL_EXTENT * surface.size_mm
+    return moved(
+        start, weak @ minimize(off, none, method="Nelder-Mead", options=options).x, middle, size
+    )
 
 
 def _best(mesh: Mesh, surface: Surface, points: Array, eye: Array | None) -> Placed:
@@ -158,7 +216,13 @@ def _better(surface: Surface, clouds: list[Array], a: Placed, b: Placed) -> Plac
     return a if first >= second else b
 
 
-def _refined(surface: Surface, points: Array, start: Pose, reach_mm: float = np.inf) -> Placed:
+def _refined(
+    surface: Surface,
+    points: Array,
+    start: Pose,
+    reach_mm: float = np.inf,
+    told: float = TOLD,
+) -> Placed:
     """Return the place from a start, by the points within reach; the others agree with nothing."""
     given = len(points)
     if np.isfinite(reach_mm):
@@ -175,7 +239,8 @@ def _refined(surface: Surface, points: Array, start: Pose, reach_mm: float = np.
         normal = product(near.normal, pose.rotation.T)
         residual = np.sum(normal * (points - pose.to_world(near.point)), axis=1)
         weight = tukey(away, scale)
-        step, untold = least_motion(motion_rows(points, normal, middle, size), weight, residual)
+        rows = motion_rows(points, normal, middle, size)
+        step, untold = least_motion(rows, weight, residual, told)
         if np.abs(step).max() <= STILL * size:
             break
         pose = moved(pose, step, middle, size)
@@ -250,6 +315,28 @@ def largest_plane(points: Array) -> tuple[Array, Array, float]:
             if off < least:
                 least, best = off, (a, normal / size)
     return *best, 3.0 * least + 1e-12
+
+
+def plane_behind(points: Array, bounds: Array, limit: Array) -> NDArray[np.bool_]:
+    """Return a mask of the points of a plane that a part stands on or before, (N,).
+
+    Parameters
+    ----------
+    points : (N, 3) float
+        In the part's frame.
+    bounds : (2, 3) float
+        The box about the part: the plane is outside.
+    limit : (N,) float
+        How far each point may be from the largest plane of the cloud to be one of it, mm.
+    """
+    point, normal, near = largest_plane(points)
+    own = points[np.abs((points - point) @ normal) <= near]
+    some = own[:: max(1, len(own) // _PLANE)]
+    middle = some.mean(axis=0)
+    normal = np.linalg.svd(some - middle, full_matrices=False)[2][2]
+    inside = np.all(points > bounds[0] + limit[:, np.newaxis], axis=1)
+    inside &= np.all(points < bounds[1] - limit[:, np.newaxis], axis=1)
+    return (np.abs((points - middle) @ normal) <= limit) & ~inside
 
 
 def closest_starts(
@@ -328,5 +415,5 @@ def _closest(
         away, nearest = tree.query(pose.to_local(points))
         kept = away <= np.quantile(away, _KEPT)
         distance = float(np.sqrt(np.mean(away[kept] ** 2)))
-        pose = best_motion(seen[nearest[kept]], points[kept])
+        pose = rigid_fit(seen[nearest[kept]], points[kept])
     return distance, pose

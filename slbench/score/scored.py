@@ -75,7 +75,7 @@ def score_cloud(
     ------
     InputError
         For no reference or several, files that cannot be used, and a cloud of another part: one of
-        which fewer than half of the points lie within three expected deviations
+        which fewer than 70 % of the points lie within three expected deviations
         (:mod:`slbench.score.expected`).
 
     Warns

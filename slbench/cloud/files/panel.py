@@ -17,6 +17,8 @@ from slbench.patterns import Axis, PhaseMap
 _NAMES: dict[Axis, tuple[str, ...]] = {
     axis: (f"panel.{axis}", f"panel_{axis}", f"coordinate_{axis}", axis) for axis in ("u", "v")
 }
+#: Columns of a list of points, at most: more are those of a picture.
+_COLUMNS = 12
 
 
 def read_panel(path: Path, shape: tuple[int, int]) -> tuple[PhaseMap, bool] | None:
@@ -85,7 +87,8 @@ def read_panel(path: Path, shape: tuple[int, int]) -> tuple[PhaseMap, bool] | No
 
 def _of_array(array: NDArray[Any], shape: tuple[int, int]) -> dict[str, NDArray[Any]]:
     """Name the coordinates of a bare array by its shape."""
-    if array.shape == shape and array.dtype.kind == "f":
+    image = array.ndim == 2 and array.shape[1] > _COLUMNS
+    if array.dtype.kind == "f" and (image or array.shape == shape):
         return {"u": array}
     if array.shape == (*shape, 2) and array.dtype.kind == "f":
         return {"u": array[..., 0], "v": array[..., 1]}
