@@ -111,6 +111,7 @@ class CloudScore:
                 continue
             if self.reference != "truth":
                 value = value.replace("of lit pixels", "of the surface")
+                quantity = quantity.replace("smooth errors", "errors")
             rows.append((quantity, value + spread.get(shown.get(quantity, ""), "")))
         word = f"within {DEVIATIONS:g} expected deviations"
         expected = f"{self.expected.source}, {length(self.expected.median_mm)}"
