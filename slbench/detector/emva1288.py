@@ -147,6 +147,12 @@ class Detector(Value, DetectorModel):
             return float(self.gain_e_per_dn)
         return self.full_well_e / (self.top_dn - self.black_dn)
 
+    def fixed_pattern(
+        self, shape: tuple[int, int]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return relative response and offset (electrons) of each pixel, (V, U) each, read-only."""
+        return _fixed_pattern(self.seed, self.prnu, self.dsnu_e, shape)
+
     @checked
     def photons(
         self,
@@ -327,7 +333,7 @@ def _expose_frame(
     """Expose one frame into `out`, (V, U)."""
     _require_photons(photons)
     shape = (photons.shape[0], photons.shape[1])
-    response, offset = _fixed_pattern(detector.seed, detector.prnu, detector.dsnu_e, shape)
+    response, offset = detector.fixed_pattern(shape)
     light = (photons.ravel(), response.ravel())
     efficiency = scale * detector.quantum_efficiency
     dark_e = detector.dark_current_e_per_s * exposure_s

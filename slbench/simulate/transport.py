@@ -30,7 +30,9 @@ from slbench.simulate.footprints import BlurredPanel, Levels
 from slbench.simulate.rows import SparseRows, row_starts
 
 if TYPE_CHECKING:
-    pass
+    import scipy.sparse
+
+    from slbench.simulate.torch_light import TorchLight
 
 Marginal = Literal["u", "v", "uv"]
 
@@ -198,6 +200,75 @@ class LightTransport:
             raise InputError("camera image", f"shape {self.shape}", image.shape)
         seen = self._rows("uv").tocsr().T @ image.ravel()
         return seen.reshape(self.panel[1], self.panel[0])
+
+    def to_scipy(self, along: Marginal = "u") -> scipy.sparse.csr_array:
+        """Return a marginal as one SciPy sparse array, such as NumPy and JAX users multiply by.
+
+        Radiance is ``to_scipy("u") @ panel + ambient.ravel()`` for a panel profile (W,).  Where a
+        row has light of a footprint it has an entry for each panel pixel of it; :meth:`factors` has
+        fewer.
+
+        Returns
+        -------
+        (V U, W), (V U, H) or (V U, H W) csr_array of float32
+            Rows and panel pixels are row-major.
+
+        Raises
+        ------
+        InputError
+            If the light has no such marginal.
+        """
+        return self._rows(along).tocsr()
+
+    def factors(self, along: Marginal = "u") -> tuple[scipy.sparse.csr_array, ...]:
+        """Return SciPy sparse arrays whose product is a marginal: ``(S, B)``, or itself alone.
+
+        ``B`` blurs the panel, ``S`` looks it up (:mod:`slbench.simulate.footprints`).
+        """
+        rows = self._rows(along)
+        seen = replace(rows, blurred=None).tocsr()
+        return (seen,) if rows.blurred is None else (seen, rows.blurred.matrix())
+
+    def torch(
+        self,
+        along: Marginal = "u",
+        *,
+        pixels: ArrayLike | None = None,
+        dense: bool = False,
+        dtype: Any = None,
+        device: Any = None,
+    ) -> TorchLight:
+        """Return a marginal as a PyTorch module, ``radiance = light(panel)``; extra ``torch``.
+
+        It has gradients for the panel, and equals :meth:`relight` to float rounding.
+
+        Parameters
+        ----------
+        along : {"u", "v", "uv"}
+        pixels : (P,) int, optional
+            Flat indices of camera pixels; all by default.
+        dense : bool
+            Keep the whole matrix and not only its entries: for few pixels.
+        dtype : torch.float32 or torch.float64, optional
+            Single precision by default.
+        device : torch.device or str, optional
+
+        Returns
+        -------
+        TorchLight
+            Takes a tensor (K, W), (K, H) or (K, H, W), and gives (K, V, U), or (K, P).
+
+        Raises
+        ------
+        InputError
+            If PyTorch is not installed, the light has no such marginal, or no such pixels.
+        """
+        from slbench.simulate.torch_light import TorchLight
+
+        width, height = self.panel
+        shapes = {"u": (width,), "v": (height,), "uv": (height, width)}
+        how = {"pixels": pixels, "dense": dense, "dtype": dtype, "device": device}
+        return TorchLight(self.factors(along), self.ambient, shapes[along], **how)
 
     def half(self) -> LightTransport | None:
         """Return the transport by one half of the samples; None where that was not kept.

@@ -25,7 +25,7 @@ def test_the_snippets_run_one_after_the_other(tmp_path, monkeypatch):
     # Those without slbench are run by the tests of other loaders.
     page = re.sub(r"^## Without slbench$.*?^(?=## )", "", PAGE.read_text(), flags=re.M | re.S)
     snippets = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
-    assert len(snippets) == 4
+    assert len(snippets) == 5
     scope = {}
     for code in snippets:
         exec(compile(code, PAGE.name, "exec"), scope)

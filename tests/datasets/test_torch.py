@@ -226,3 +226,19 @@ def test_the_same_epochs_whichever_number_of_workers(data, kind):
     assert all(alone[0][k] != alone[1][k] for k in alone[0])
     assert epochs(1) == alone
     assert epochs(2) == alone
+
+
+class TestGradients:
+    def test_expected_frames_of_a_sample_and_their_gradient(self, data):
+        sample = data[1]
+        exposure = sample.torch(dtype=torch.float64)
+        shown = PatternSequence.parse("1,8@3", sample.transport.panel).shown(np.arange(6), "u")
+        values = torch.tensor(shown, requires_grad=True)
+        frames = exposure(values, noise=False)
+        wanted = sample.capture("1,8@3", noise=False).frames
+        off = np.abs(frames.detach().numpy() - wanted)
+        # Single precision beside double: a number that ends in a half is rounded either way.
+        assert off.max() <= 1.0
+        assert np.mean(off > 0) < 1e-2
+        frames.sum().backward()
+        assert (values.grad.abs().sum(axis=1) > 0).all()

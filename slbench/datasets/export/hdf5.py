@@ -33,11 +33,11 @@ from numpy.typing import NDArray
 import slbench
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
+from slbench.core.extras import extra
 from slbench.datasets.export.registry import Exporter
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Recipe
 from slbench.datasets.read.stored import Sample
-from slbench.datasets.store.extras import extra
 from slbench.rig.device import Device
 
 #: OpenCV's longest vector that a sensor tilt needs; shorter ones are filled with zeros.

@@ -23,9 +23,9 @@ from contextlib import contextmanager, suppress
 from typing import Any
 
 from slbench.core.errors import InputError
+from slbench.core.extras import extra
 from slbench.core.io.scratch import temporary_folder
 from slbench.datasets.make.tasks import THREADS
-from slbench.datasets.store.extras import extra
 from slbench.objects.cache import VARIABLE as CACHE
 
 #: How long a scheduler may take to answer, s.

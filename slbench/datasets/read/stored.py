@@ -32,7 +32,8 @@ from slbench.scene.file import load_scene, load_settings
 from slbench.scene.model import Exposure, Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.expose import Shutter, capture, shutter_for
-from slbench.simulate.transport import LightTransport
+from slbench.simulate.torch_exposure import TorchExposure, torch_exposure
+from slbench.simulate.transport import LightTransport, Marginal
 
 T = TypeVar("T")
 Row = Mapping[str, Any]
@@ -216,6 +217,25 @@ class Sample:
             noise=noise,
             shutter=self._shutter if detector is None and exposure is None else None,
         )
+
+    def torch(self, along: Marginal = "u", **options: Any) -> TorchExposure:
+        """Return its exposure as a PyTorch module, ``frames = exposure(values)``, with gradients.
+
+        Parameters
+        ----------
+        along : {"u", "v", "uv"}
+        **options
+            Of :func:`slbench.simulate.torch_exposure.torch_exposure`.
+
+        Raises
+        ------
+        InputError
+            If PyTorch is not installed, or the light has no such marginal.
+        """
+        scene = self._settings
+        parts = scene.rig.camera, scene.rig.projector, scene.detector, scene.exposure
+        options = {"shutter": self._shutter} | options
+        return torch_exposure(self.transport, *parts, along=along, **options)
 
     def ready(self) -> Sample:
         """Load what :meth:`capture` needs, and return the sample: for :meth:`Dataset.ahead`."""

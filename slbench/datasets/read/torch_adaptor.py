@@ -22,13 +22,13 @@ import numpy as np
 
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
+from slbench.core.extras import extra
 from slbench.core.random import generator
 from slbench.core.validation.types import Whole
 from slbench.core.validation.values import checked
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Chooser, Patterns, Recipe
 from slbench.datasets.read.stored import Sample
-from slbench.datasets.store.extras import extra
 from slbench.detector.base import DetectorModel
 
 try:

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from slbench.core.errors import InputError
-from slbench.datasets.store.extras import extra
+from slbench.core.extras import extra
 
 Row = Mapping[str, Any]
 

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from slbench.core.errors import InputError
-from slbench.datasets.store.extras import extra
+from slbench.core.extras import extra
 
 #: Name of the index in a data set.
 INDEX = "index.parquet"

@@ -17,8 +17,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from slbench.core.errors import InputError
+from slbench.core.extras import extra
 from slbench.core.io import atomic_path
-from slbench.datasets.store.extras import extra
 
 #: Protocols whose objects appear when they are complete, and which have no rename.
 _ATOMIC_PUT = {"memory", "s3", "s3a", "gs", "gcs", "az", "abfs", "abfss", "adl", "oci", "oss"}

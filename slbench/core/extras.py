@@ -1,4 +1,4 @@
-"""Packages of the extra ``datasets``, imported where they are needed."""
+"""Packages of the extras, ``datasets`` and ``torch``, imported where they are needed."""
 
 from __future__ import annotations
 
