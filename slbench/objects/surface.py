@@ -22,7 +22,7 @@ class Pixels:
 
     Parameters
     ----------
-    values : (H, W) array_like of float
+    values : (H, W) or (H, W, 3) array_like of float
         The first row on top.
     """
 
@@ -33,7 +33,7 @@ class Pixels:
         self.sha256 = hashlib.sha256(shape + self.values.tobytes()).hexdigest()
 
     def __repr__(self) -> str:
-        height, width = self.values.shape
+        height, width = self.values.shape[:2]
         return f"<Pixels, {width} x {height}, SHA-256 {self.sha256[:16]}>"
 
     def __eq__(self, other: object) -> bool:
@@ -56,11 +56,15 @@ class Surface:
     corners : bool
         Whether the albedo stands at the corners of the mesh's faces
         (:attr:`slbench.objects.artefact.Mesh.albedo`).
+    metallic, roughness : float, optional
+        As glTF's, in [0, 1], where the file states them.
     """
 
     albedo: float = 1.0
     picture: Pixels | None = None
     corners: bool = False
+    metallic: float | None = None
+    roughness: float | None = None
 
     def __repr__(self) -> str:
         if self.picture is not None:

@@ -9,16 +9,33 @@ GGX distribution (Walter et al., "Microfacet models for refraction through rough
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from slbench.core.registry import Registry
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Fraction, Interval, Measure, NotNegative
-from slbench.scene.textures import ShareMap, Texture, spectrum
+from slbench.core.validation.types import Fraction, Interval, Measure, NotNegative, Share
+from slbench.scene.textures import (
+    LEAST_ROUGHNESS,
+    FractionMap,
+    Normals,
+    OfVertices,
+    ShareMap,
+    Texture,
+    spectrum,
+)
 
 
 class Bsdf(Parameters):
-    """Base of the models; fields are the keys of ``[materials.NAME]`` in a scene file."""
+    """Base of the models; fields are the keys of ``[materials.NAME]`` in a scene file.
+
+    Parameters
+    ----------
+    normal_map : NormalMap, optional
+        Normals that light is scattered about, instead of the surface's.  Such a surface keeps
+        neither reciprocity nor energy exactly: relief is in the mesh.
+    """
+
+    normal_map: Normals = None
 
     @abstractmethod
     def mitsuba(self) -> dict[str, Any]:
@@ -26,6 +43,23 @@ class Bsdf(Parameters):
 
         Pictures in it may be arrays; the renderer takes them in.
         """
+
+    def scattering(self) -> dict[str, Any]:
+        """Return the BSDF in Mitsuba's words, about the normals of its map where it has one."""
+        if self.normal_map is None:
+            return self.mitsuba()
+        return {
+            "type": "normalmap",
+            "normalmap": self.normal_map.mitsuba(),
+            "use_shadowing_function": False,
+            "bsdf": self.mitsuba(),
+        }
+
+    @property
+    def mappings(self) -> set[str]:
+        """By what texture coordinates it is laid on a surface: ``box``, ``uv``, or none."""
+        maps = self.textures.values()
+        return {one.mapping for one in maps if not isinstance(one, OfVertices)}
 
     @property
     def textures(self) -> dict[str, Texture]:
@@ -37,7 +71,7 @@ class Bsdf(Parameters):
     def takes_texture(cls, key: str) -> bool:
         """Return whether a parameter may be a texture."""
         field = cls.model_fields.get(key)
-        return field is not None and "Texture" in repr(field.annotation)
+        return field is not None and any(w in repr(field) for w in ("Texture", "NormalMap"))
 
 
 #: BSDFs by name.  To add one, write its class and name it here; outside slbench the entry-point
@@ -49,6 +83,7 @@ bsdfs: Registry[type[Bsdf]] = Registry(
         "diffuse": "slbench.scene.bsdfs:Diffuse",
         "rough_plastic": "slbench.scene.bsdfs:RoughPlastic",
         "rough_conductor": "slbench.scene.bsdfs:RoughConductor",
+        "principled": "slbench.scene.bsdfs:Principled",
     },
     base="slbench.scene.bsdfs:Bsdf",
 )
@@ -112,14 +147,14 @@ class RoughConductor(Bsdf):
     ----------
     albedo : float or Texture
         Factor on the specular reflectance.
-    roughness : float
+    roughness : float or Texture
         GGX ``alpha``, about the RMS slope of the microfacets.
     eta, k : float
         Real and imaginary part of the refractive index.
     """
 
     albedo: ShareMap = 0.7
-    roughness: Fraction = 0.3
+    roughness: FractionMap = 0.3
     eta: Measure = 2.95
     k: NotNegative = 2.93
 
@@ -128,8 +163,74 @@ class RoughConductor(Bsdf):
         return {
             "type": "roughconductor",
             "distribution": "ggx",
-            "alpha": self.roughness,
+            "alpha": _roughness(self.roughness),
             "eta": grey(self.eta),
             "k": grey(self.k),
             "specular_reflectance": spectrum(self.albedo),
         }
+
+
+class Principled(Bsdf):
+    """Paint, plastic and metal in one: diffuse base, microfacets, clear coat.
+
+    B. Burley, "Physically based shading at Disney", SIGGRAPH courses 2012, in Mitsuba's form; the
+    metals and plastics of glTF are close to it.
+
+    Parameters
+    ----------
+    albedo : float or Texture
+        Diffuse reflectance, or a metal's reflectance at right angles.
+    metallic : float or Texture
+        From 0, a dielectric, to 1, a metal.
+    roughness : float or Texture
+        Its square is GGX ``alpha``.
+    specular : float
+        Reflectance of a dielectric at right angles, of 8 %: 0.5 is a refractive index of 1.5.
+    clearcoat, clearcoat_gloss : float
+        A smooth coat's share, and how sharply it reflects.
+    anisotropy : float
+        From 0 to 1, brushed: ``alpha`` along the lay is that across it times
+        ``1 - 0.9 anisotropy``.
+    lay : {"u", "v"}
+        The way of the brush, by texture coordinates.
+    lay_mapping : {"box", "uv"}
+        Which: those of a texture mapped so.
+    """
+
+    albedo: ShareMap = 0.7
+    metallic: ShareMap = 0.0
+    roughness: FractionMap = 0.5
+    specular: Share = 0.5
+    clearcoat: Share = 0.0
+    clearcoat_gloss: Share = 0.5
+    anisotropy: Share = 0.0
+    lay: Literal["u", "v"] = "u"
+    lay_mapping: Literal["box", "uv"] = "box"
+
+    @property
+    def mappings(self) -> set[str]:
+        """Those of the textures, and of the lay."""
+        return super().mappings | ({self.lay_mapping} if self.anisotropy else set())
+
+    def mitsuba(self) -> dict[str, Any]:
+        """Return Mitsuba's ``principled``."""
+        # With s^2 = 1 - 0.9 a, alpha is that of the roughness over s along u and times s along v:
+        # the lay is v.  With the inverse of s it is u.
+        squared = 1.0 - 0.9 * self.anisotropy
+        if self.lay == "u":
+            squared = 1.0 / squared
+        return {
+            "type": "principled",
+            "base_color": spectrum(self.albedo),
+            "metallic": spectrum(self.metallic),
+            "roughness": spectrum(self.roughness, LEAST_ROUGHNESS**0.5),
+            "specular": self.specular,
+            "clearcoat": self.clearcoat,
+            "clearcoat_gloss": self.clearcoat_gloss,
+            "anisotropic": (1.0 - squared) / 0.9,
+        }
+
+
+def _roughness(value: float | Texture) -> Any:
+    """Return a GGX ``alpha`` in Mitsuba's words."""
+    return spectrum(value, LEAST_ROUGHNESS) if isinstance(value, Texture) else value

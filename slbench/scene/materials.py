@@ -19,8 +19,23 @@ from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
 from slbench.objects import Artefact
 from slbench.objects.surface import Surface
-from slbench.scene.bsdfs import DEFAULT, Bsdf, Diffuse, RoughConductor, RoughPlastic, bsdfs
-from slbench.scene.textures import OfMesh, OfVertices, Picture, Texture, read_texture
+from slbench.scene.bsdfs import (
+    DEFAULT,
+    Bsdf,
+    Diffuse,
+    Principled,
+    RoughConductor,
+    RoughPlastic,
+    bsdfs,
+)
+from slbench.scene.textures import (
+    LEAST_ROUGHNESS,
+    OfMesh,
+    OfVertices,
+    Picture,
+    Texture,
+    read_texture,
+)
 
 
 @dataclass(frozen=True)
@@ -56,7 +71,7 @@ class Material:
         values = dict(table)
         kind = bsdfs.get(values.pop("bsdf", DEFAULT), f"{where}.bsdf")
         for key in filter(kind.takes_texture, values):
-            values[key] = read_texture(values[key], f"{where}.{key}", folder)
+            values[key] = read_texture(values[key], f"{where}.{key}", folder, key)
         return cls(validated(kind, values, where))
 
     def on(self, artefact: Artefact, part: str) -> Material:
@@ -70,20 +85,21 @@ class Material:
             If it asks for colours or texture coordinates that the mesh does not have.
         """
         found = self.bsdf.textures
-        if not found:
+        if not found and not self.bsdf.mappings:
             return self
         where = f"{artefact.name}: part {part}"
         own: dict[str, float | Texture] = {}
         for name, texture in found.items():
             if type(texture) is OfMesh:
+                if name != "albedo":
+                    raise InputError(where, 'texture = "mesh" for albedo alone', name)
                 own[name] = of_surface(artefact.surfaces.get(part), texture, where)
             elif isinstance(texture, Picture) and texture.pixels is None:
                 own[name] = texture.read()
         bsdf = self.bsdf.model_copy(update=own)
-        mappings = {texture.mapping for texture in bsdf.textures.values()}
-        if len(mappings) > 1:
+        if len(bsdf.mappings) > 1:
             raise InputError(where, "one mapping for all textures of a material", "uv and box")
-        if "uv" in mappings and not _has_uv(bsdf, artefact, part):
+        if "uv" in bsdf.mappings and not _has_uv(artefact, part):
             expected = 'a mesh with texture coordinates, or textures with mapping = "box"'
             raise InputError(where, expected, "a mesh without")
         return replace(self, bsdf=bsdf)
@@ -100,17 +116,30 @@ def of_surface(surface: Surface | None, texture: OfMesh, where: str) -> float | 
     return surface.albedo * texture.scale
 
 
-def _has_uv(bsdf: Bsdf, artefact: Artefact, part: str) -> bool:
-    """Return whether a part has the texture coordinates that a BSDF's textures need."""
-    if all(isinstance(texture, OfVertices) for texture in bsdf.textures.values()):
-        return True
+def _has_uv(artefact: Artefact, part: str) -> bool:
+    """Return whether all corners of a part have texture coordinates."""
     uv = artefact.mesh.uv
     return uv is not None and bool(np.isfinite(uv[artefact.parts[part]]).all())
 
 
 def own_materials(artefact: Artefact) -> dict[str, Material]:
-    """Return Lambertian materials of the colours that an artefact's mesh file states, by part."""
-    return {part: Material(Diffuse(albedo=OfMesh()), "the mesh file") for part in artefact.surfaces}
+    """Return materials of what an artefact's mesh file states of its parts, by part.
+
+    Lambertian where it states colours alone.  With metalness or roughness it is ``principled``;
+    of these two what is missing is a dielectric's 0 and a matt surface's 1.
+    """
+    found = {}
+    for part, surface in artefact.surfaces.items():
+        bsdf: Bsdf = Diffuse(albedo=OfMesh())
+        if surface.metallic is not None or surface.roughness is not None:
+            rough = 1.0 if surface.roughness is None else surface.roughness
+            bsdf = Principled(
+                albedo=OfMesh(),
+                metallic=float(np.clip(surface.metallic or 0.0, 0.0, 1.0)),
+                roughness=float(np.clip(rough, LEAST_ROUGHNESS**0.5, 1.0)),
+            )
+        found[part] = Material(bsdf, "the mesh file")
+    return found
 
 
 _TRANSITION_METALS = "n, k at 549 nm: Johnson and Christy, Phys. Rev. B 9, 5056 (1974), "

@@ -34,6 +34,10 @@ from slbench.objects.surface import Pixels
 
 #: Of the values at a mesh's vertices, in Mitsuba's words.
 VERTEX_ALBEDO = "vertex_albedo"
+#: Of a normal's length, as eight bits and lossy files leave it.
+_NORMAL_ERROR = 0.1
+#: Least roughness of a map: a smoother one is a mirror, in which nobody finds a small lens.
+LEAST_ROUGHNESS = 0.01
 
 
 class Texture(Parameters):
@@ -69,12 +73,12 @@ class Texture(Parameters):
         if self.mapping == "uv":
             factors = (self.repeat * across, self.repeat * down)
         else:  # texels are square but for what repeats in the tile
-            height, width = values.shape
+            height, width = values.shape[:2]
             aspect = (height * down) / (width * across)
             factors = (across / self.size_mm, down / (self.size_mm * aspect))
         return {
             "type": "bitmap",
-            "bitmap": (self.scale * values)[..., None],
+            "bitmap": np.atleast_3d(self.scale * values),
             "raw": True,
             "filter_type": "nearest" if sharp else "bilinear",
             "wrap_mode": "repeat",
@@ -124,6 +128,26 @@ class Picture(Texture):
         return Pixels(linear if linear.ndim == 2 else np.clip(luminance(linear), 0.0, 1.0))
 
 
+class NormalMap(Picture):
+    """A picture of normals in tangent space: red to the right, green up, blue outwards.
+
+    That is the convention of OpenGL and glTF 2.0; 0.5 stands for 0.
+    """
+
+    encoding: Literal["linear"] = "linear"
+    scale: Literal[1] = 1
+
+    def _read(self) -> Pixels:
+        values = unit_range(read_colour(self.path))
+        if values.ndim != 3 or values.max() > 1.0:
+            raise InputError(self.path, "a picture of normals in colour", "a grey one or floats")
+        length = np.linalg.norm(2.0 * values - 1.0, axis=-1)
+        if np.median(np.abs(length - 1.0)) > _NORMAL_ERROR or np.median(values[..., 2]) < 0.5:
+            expected = "normals of length 1, blue outwards"
+            raise InputError(self.path, expected, f"a median length of {np.median(length):.2f}")
+        return Pixels(values)
+
+
 class OfMesh(Texture):
     """The base colour that a mesh file states for a part: number, picture or vertex colours."""
 
@@ -163,16 +187,24 @@ textures: Registry[type[Texture]] = Registry(
 _EXPECTED = "a number in [0, 1], a picture's file, or a table with texture"
 #: A share, or a texture of shares.
 ShareMap = Annotated[Share | InstanceOf[Texture], Words(_EXPECTED)]
+#: A roughness, or a texture of it.
+FractionMap = Annotated[Fraction | InstanceOf[Texture], Words(_EXPECTED.replace("[0", "(0"))]
+#: A map of normals, or none.
+Normals = Annotated[InstanceOf[NormalMap] | None, Words("a picture of normals, or a table of one")]
 
 
-def spectrum(value: float | Texture) -> dict[str, Any]:
-    """Return a number or a texture in Mitsuba's words, the same at all wavelengths."""
-    if isinstance(value, Texture):
-        return value.mitsuba()
-    return {"type": "uniform", "value": float(value)}
+def spectrum(value: float | Texture, least: float = 0.0) -> dict[str, Any]:
+    """Return a number or a texture in Mitsuba's words, the same at all wavelengths.
+
+    A texture's values are `least` at least.
+    """
+    if not isinstance(value, Texture):
+        return {"type": "uniform", "value": float(value)}
+    words = value.mitsuba()
+    return words | {"bitmap": np.maximum(words["bitmap"], least)} if least else words
 
 
-def read_texture(value: Any, where: str, folder: Path | None) -> Any:
+def read_texture(value: Any, where: str, folder: Path | None, key: str = "albedo") -> Any:
     """Return what a material's key says: a texture of a file's name or a table, else the value.
 
     Parameters
@@ -183,20 +215,27 @@ def read_texture(value: Any, where: str, folder: Path | None) -> Any:
         Its place, for messages.
     folder : Path or None
         Which paths are relative to and stay inside of; None to take them as they are.
+    key : str
+        Of the material.  A picture is encoded as sRGB where it is an albedo, else linear.
 
     Raises
     ------
     InputError
         Naming the key at fault.
     """
+    normal = key == "normal_map"
     if isinstance(value, str):
-        value = {"texture": "picture", "path": value}
+        value = {"path": value} if normal else {"texture": "picture", "path": value}
     if not isinstance(value, Mapping):
         return value
-    if "texture" not in value:
+    if "texture" not in value and not normal:
         raise InputError(f"{where}.texture", f"one of {', '.join(textures)}", shown(dict(value)))
     values = dict(value)
-    kind = textures.get(values.pop("texture"), f"{where}.texture")
+    kind: type[Texture] = NormalMap
+    if not normal:
+        kind = textures.get(values.pop("texture"), f"{where}.texture")
+        if kind is Picture and key != "albedo":
+            values.setdefault("encoding", "linear")
     found = validated(kind, values, where)
     if not isinstance(found, Picture):
         return found

@@ -4,13 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from stages import trace
+from trimesh.visual.material import PBRMaterial
 
 from slbench import objects
 from slbench.core.errors import InputError
-from slbench.scene.bsdfs import Diffuse, RoughConductor
+from slbench.scene.bsdfs import Diffuse, Principled, RoughConductor
 from slbench.scene.file import load_scene
-from slbench.scene.materials import PRESETS, Material
+from slbench.scene.materials import PRESETS, Material, own_materials
 from slbench.scene.model import SceneObject
 from slbench.simulate.render.show import shade
 
@@ -80,3 +82,19 @@ def test_roughness_shows():
     # inverse; pixels and the ball's edge blur both: half of that is asked for.
     assert peak[0] > 8 * peak[1]
     assert width[1] > 4 * width[0]
+
+
+def test_metals_of_a_mesh_file_are_principled(tmp_path):
+    user = trimesh.Scene()
+    for k, more in enumerate(({}, {"metallicFactor": 0.9, "roughnessFactor": 0.25})):
+        solid = trimesh.creation.box((1.0, 1.0, 1.0))
+        material = PBRMaterial(baseColorFactor=[0.5, 0.5, 0.5, 1.0], **more)
+        solid.visual = trimesh.visual.TextureVisuals(material=material)
+        user.add_geometry(solid, node_name=f"part{k}", geom_name=f"part{k}")
+    user.export(tmp_path / "a.glb")
+    artefact = objects.build_artefact("mesh", {"path": str(tmp_path / "a.glb"), "unit": "mm"})
+    item = SceneObject(artefact, materials=own_materials(artefact))
+    level = round(0.5 * 255) / 255
+    assert item.material_of("part0").bsdf == Diffuse(albedo=level)
+    metal = item.material_of("part1").bsdf
+    assert metal == Principled(albedo=level, metallic=0.9, roughness=0.25)

@@ -44,6 +44,7 @@ _LINEAR = (".glb", ".gltf", ".step", ".stp")
 _SILENT = {"name", "doubleSided", "alphaMode", "alphaCutoff", "extras", "extensions", "kd", "ka"}
 _SILENT |= {"illum", "ni", "diffuse", "ambient", "specular", "glossiness", "image"}
 _SILENT |= {"baseColorFactor", "baseColorTexture", "pbrMetallicRoughness"}
+_SILENT |= {"metallicFactor", "roughnessFactor"}
 #: Suffixes of pictures that a material names.
 _PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".tga", ".webp", ".gif"}
 #: Extensions of glTF that change no look.
@@ -228,14 +229,17 @@ def _part(name: str, mesh: Any, path: Path, linear: bool, content: Content) -> P
     if picture is not None and colours is not None:
         content.leave("vertex colours beside a texture")
     surface, albedo = None, None
+    stated = (getattr(material, f"{key}Factor", None) for key in ("metallic", "roughness"))
+    metallic, roughness = (None if value is None else float(value) for value in stated)
     if picture is not None:
-        surface = Surface(1.0, Pixels(picture))
+        surface = Surface(1.0, Pixels(picture), metallic=metallic, roughness=roughness)
     elif colours is not None:
         corners = colours if colours.shape[:2] == (len(faces), 3) else colours[faces]
         albedo = np.clip(luminance(corners * (1.0 if factor is None else factor)), 0.0, 1.0)
-        surface = Surface(1.0, corners=True)
+        surface = Surface(1.0, None, True, metallic, roughness)
     elif factor is not None:
-        surface = Surface(float(np.clip(luminance(factor), 0.0, 1.0)))
+        level = float(np.clip(luminance(factor), 0.0, 1.0))
+        surface = Surface(level, metallic=metallic, roughness=roughness)
     return Part(
         name,
         vertices,

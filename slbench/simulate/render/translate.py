@@ -33,7 +33,7 @@ from slbench.simulate.render.plugins.register import register
 
 def bsdf_dict(material: Material) -> dict[str, Any]:
     """Return a material as a Mitsuba BSDF; both sides of every face scatter."""
-    return {"type": "twosided", "bsdf": _taken_in(material.bsdf.mitsuba())}
+    return {"type": "twosided", "bsdf": _taken_in(material.bsdf.scattering())}
 
 
 def _taken_in(item: Any) -> Any:
@@ -159,10 +159,9 @@ def _coordinates(
     mesh: Mesh, faces: NDArray[np.int64], material: Material
 ) -> NDArray[np.float64] | None:
     """Return the texture coordinates that a material needs on faces, v downwards."""
-    maps = [t for t in material.bsdf.textures.values() if not isinstance(t, OfVertices)]
-    if not maps:
+    if not material.bsdf.mappings:
         return None
-    if maps[0].mapping == "uv":
+    if "uv" in material.bsdf.mappings:
         assert mesh.uv is not None  # by Material.on
         return np.stack([mesh.uv[faces][..., 0], 1.0 - mesh.uv[faces][..., 1]], axis=-1)
     corners = mesh.vertices[mesh.faces[faces]]

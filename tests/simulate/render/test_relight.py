@@ -2,7 +2,7 @@
 
 The comparison is statistical.  Both sides are rendered `REPEATS` times with independent seeds;
 Welch's t-test is made on every pixel (Bonferroni-corrected) and on the image's mean.  Each
-test has a false-alarm rate of `ALPHA`; the 16 of this file together one of 0.2 %.  That the
+test has a false-alarm rate of `ALPHA`; the 20 of this file together one of 0.2 %.  That the
 tests can fail is shown by planted errors: a weight 2 % off, a pattern one panel pixel off.
 """
 
@@ -25,6 +25,7 @@ from stages import trace
 import slbench.simulate.render.trace as tracing
 from slbench.core.errors import InputError
 from slbench.scene.bsdfs import bsdfs
+from slbench.scene.drawn import Noise
 from slbench.scene.materials import Material
 from slbench.scene.model import Light
 from slbench.simulate.render.mitsuba import mi
@@ -44,9 +45,18 @@ PATTERNS = {
 }
 
 
-def glossy(value, bsdf):
-    material = Material(bsdfs.get(bsdf)(roughness=0.4))
+def glossy(value, bsdf, **more):
+    material = Material(bsdfs.get(bsdf)(**{"roughness": 0.4, **more}))
     return replace(value, objects=tuple(replace(o, material=material) for o in value.objects))
+
+
+#: Surfaces of many parameters, in one bounce.
+PRINCIPLED = {
+    "painted": {"albedo": 0.5, "clearcoat": 0.8, "clearcoat_gloss": 0.6},
+    "half a metal": {"metallic": 0.5, "roughness": 0.5, "specular": 0.8},
+    "brushed metal": {"metallic": 1.0, "roughness": 0.5, "anisotropy": 0.8},
+    "spotted roughness": {"metallic": 1.0, "roughness": Noise(low=0.4, high=0.8, size_mm=30.0)},
+}
 
 
 @cache
@@ -61,6 +71,8 @@ def scene_of(case):
         return with_bounces(lenses, 1)
     if case == "glossy metal":
         return with_bounces(glossy(lenses, "rough_conductor"), 1)
+    if case in PRINCIPLED:
+        return with_bounces(glossy(lenses, "principled", **PRINCIPLED[case]), 1)
     if case == "ambient light":
         # As bright as the projector's own light (1 W on a field of 200 mm x 150 mm).
         return replace(lenses, light=Light(ambient_w_per_mm2=3e-5, bounces=1))
@@ -130,7 +142,7 @@ def test_relit_equals_rendered(case, integrator, emitter, sensor, name):
         assert agreement(theirs, shifted).p < 1e-9
 
 
-@pytest.mark.parametrize("case", ["glossy metal", "ambient light"])
+@pytest.mark.parametrize("case", ["glossy metal", "ambient light", *PRINCIPLED])
 def test_other_light_and_material(case):
     pattern = PATTERNS["1 fringe"]
     theirs, ours = rendered(case, pattern, "path"), relit(case, pattern)
