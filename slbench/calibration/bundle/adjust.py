@@ -49,6 +49,8 @@ _MOST_STEPS = 300
 _FIRST_STEP = 1e4
 #: Residual of what cannot be projected, in deviations.
 _FAR = 1e6
+#: Rounds after which an adjustment that did not come to rest in them is not tried again.
+_STALLED = 2
 #: Rounds of judging points and fitting again.
 _ROUNDS = 12
 #: A pose scatters more than the others beyond this ratio of robust scales; of few points more.
@@ -210,8 +212,10 @@ def adjust(
     while np.any(state.scales < _FALLS * scales):
         scales = state.scales
         state = _scaled(views, _solved(views, state, first, prior, robust=True))
+        if not state.converged:
+            break
     before = prior or Denominators.of(state.rig, names)
-    rested = False
+    rested, stalled = False, 0
     for round_ in range(_ROUNDS):
         new = _judged(views, state)
         same = all(np.array_equal(a, b) for a, b in zip(new, state.kept, strict=True))
@@ -221,6 +225,9 @@ def adjust(
         state = _solved(views, replace(state, kept=new), names, before, robust=round_ == 0)
         state = _scaled(views, state)
         rested = np.allclose(state.scales, scales, rtol=_RESTED)
+        stalled += not state.converged
+        if stalled == _STALLED:
+            break
     return state
 
 
