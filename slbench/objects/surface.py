@@ -56,15 +56,18 @@ class Surface:
     corners : bool
         Whether the albedo stands at the corners of the mesh's faces
         (:attr:`slbench.objects.artefact.Mesh.albedo`).
-    metallic, roughness : float, optional
+    metallic, roughness : float or Pixels, optional
         As glTF's, in [0, 1], where the file states them.
+    normals : Pixels, optional
+        A map of normals in tangent space, (H, W, 3).
     """
 
     albedo: float = 1.0
     picture: Pixels | None = None
     corners: bool = False
-    metallic: float | None = None
-    roughness: float | None = None
+    metallic: float | Pixels | None = None
+    roughness: float | Pixels | None = None
+    normals: Pixels | None = None
 
     def __repr__(self) -> str:
         if self.picture is not None:

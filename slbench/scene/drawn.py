@@ -127,7 +127,9 @@ class Spots(Drawn):
 
 
 class Text(Drawn):
-    """A line of printed text, in the middle of the tile, in DejaVu Sans.
+    """A line of printed text in DejaVu Sans, in the middle of the tile.
+
+    By ``box`` the text's middle is at the object's origin, where tiles of other textures begin.
 
     Parameters
     ----------
@@ -141,7 +143,10 @@ class Text(Drawn):
 
     def tile(self) -> Tile:
         """Return the print."""
-        return self.between(1.0 - _print(self.text, self.height)), (1.0, 1.0), False
+        paper = 1.0 - _print(self.text, self.height)
+        if self.mapping == "box":
+            paper = np.roll(paper, (_SIDE // 2, _SIDE // 2), axis=(0, 1))
+        return self.between(paper), (1.0, 1.0), False
 
 
 @lru_cache(maxsize=8)

@@ -18,7 +18,7 @@ from slbench.core.errors import InputError
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
 from slbench.objects import Artefact
-from slbench.objects.surface import Surface
+from slbench.objects.surface import Pixels, Surface
 from slbench.scene.bsdfs import (
     DEFAULT,
     Bsdf,
@@ -30,6 +30,7 @@ from slbench.scene.bsdfs import (
 )
 from slbench.scene.textures import (
     LEAST_ROUGHNESS,
+    NormalMap,
     OfMesh,
     OfVertices,
     Picture,
@@ -122,6 +123,13 @@ def _has_uv(artefact: Artefact, part: str) -> bool:
     return uv is not None and bool(np.isfinite(uv[artefact.parts[part]]).all())
 
 
+def _map_or(value: float | Pixels | None, default: float, least: float) -> float | Texture:
+    """Return what a file states of a share, as a number or a texture."""
+    if isinstance(value, Pixels):
+        return Picture(path="mesh", pixels=value)
+    return float(np.clip(default if value is None else value, least, 1.0))
+
+
 def own_materials(artefact: Artefact) -> dict[str, Material]:
     """Return materials of what an artefact's mesh file states of its parts, by part.
 
@@ -130,13 +138,16 @@ def own_materials(artefact: Artefact) -> dict[str, Material]:
     """
     found = {}
     for part, surface in artefact.surfaces.items():
-        bsdf: Bsdf = Diffuse(albedo=OfMesh())
+        normals = None
+        if surface.normals is not None:
+            normals = NormalMap(path="mesh", pixels=surface.normals)
+        bsdf: Bsdf = Diffuse(albedo=OfMesh(), normal_map=normals)
         if surface.metallic is not None or surface.roughness is not None:
-            rough = 1.0 if surface.roughness is None else surface.roughness
             bsdf = Principled(
                 albedo=OfMesh(),
-                metallic=float(np.clip(surface.metallic or 0.0, 0.0, 1.0)),
-                roughness=float(np.clip(rough, LEAST_ROUGHNESS**0.5, 1.0)),
+                metallic=_map_or(surface.metallic, 0.0, 0.0),
+                roughness=_map_or(surface.roughness, 1.0, LEAST_ROUGHNESS**0.5),
+                normal_map=normals,
             )
         found[part] = Material(bsdf, "the mesh file")
     return found

@@ -1,10 +1,12 @@
 """Material presets: each has a source, and looks in a render as its numbers say."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 from stages import trace
 from trimesh.visual.material import PBRMaterial
 
@@ -98,3 +100,31 @@ def test_metals_of_a_mesh_file_are_principled(tmp_path):
     assert item.material_of("part0").bsdf == Diffuse(albedo=level)
     metal = item.material_of("part1").bsdf
     assert metal == Principled(albedo=level, metallic=0.9, roughness=0.25)
+
+
+def test_maps_of_a_mesh_file(tmp_path):
+    """glTF 2.0, 3.9.2: green is roughness and blue metalness, times the factors, linear."""
+    pixels = np.random.default_rng(1).integers(60, 256, (4, 4, 3), dtype=np.uint8)
+    flat = np.tile(np.array([128, 128, 255], dtype=np.uint8), (4, 4, 1))
+    solid = trimesh.creation.box((1.0, 1.0, 1.0))
+    material = PBRMaterial(
+        baseColorFactor=[0.5, 0.5, 0.5, 1.0],
+        metallicFactor=0.5,
+        metallicRoughnessTexture=Image.fromarray(pixels),
+        normalTexture=Image.fromarray(flat),
+    )
+    uv = np.random.default_rng(2).random((8, 2))
+    solid.visual = trimesh.visual.TextureVisuals(uv, material)
+    solid.export(tmp_path / "a.glb")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        given = {"path": str(tmp_path / "a.glb"), "unit": "mm"}
+        artefact = objects.build_artefact("mesh", given)
+    item = SceneObject(artefact, materials=own_materials(artefact))
+    bsdf = item.material_of("body").bsdf
+    assert bsdf.albedo == pytest.approx(128 / 255)
+    np.testing.assert_allclose(bsdf.roughness.pixels.values, pixels[..., 1] / 255, rtol=1e-6)
+    np.testing.assert_allclose(bsdf.metallic.pixels.values, 0.5 * pixels[..., 2] / 255, rtol=1e-6)
+    np.testing.assert_allclose(bsdf.normal_map.pixels.values, flat / 255, rtol=1e-6)
+    image, _ = shade(artefact, size_px=60, samples=16)
+    assert image.min() < 0.8  # it renders

@@ -98,9 +98,13 @@ def test_stripes_and_squares_have_their_shares():
 
 
 def test_text_fits_and_reads_from_left_to_right():
-    long = values(Text(text="a very long line that would not fit at all", height=0.5, high=1.0))
+    line = {"text": "a very long line that would not fit at all", "height": 0.5, "high": 1.0}
+    long = values(Text(**line, mapping="uv"))
     assert long[:, :10].min() == long[:, -10:].min() == 1.0  # some of it is left free
-    ink = 1.0 - values(Text(text="I.......", height=0.2, low=0.0, high=1.0))
+    # By the object's axes the middle of the text is where four tiles meet.
+    assert np.array_equal(values(Text(**line)), np.roll(long, (512, 512), (0, 1)))
+    word = Text(text="I.......", height=0.2, low=0.0, high=1.0, mapping="uv")
+    ink = 1.0 - values(word)
     column = np.flatnonzero(ink.sum(axis=0))
     # The tall letter comes first.
     assert ink[:, column[:20]].sum() > 2.0 * ink[:, column[-20:]].sum()

@@ -1,4 +1,4 @@
-"""The files that a specification's objects name, taken into the data set.
+"""The files that a specification's objects and materials name, taken into the data set.
 
 An artefact's file becomes a kind with its parameters; a mesh gets a name of its own among the
 files of the data set, equal content one name.
@@ -7,7 +7,7 @@ files of the data set, equal content one name.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from slbench.core.modules import module_content
 from slbench.core.validation.wording import shown
 from slbench.datasets.store.sample import MODULE
 from slbench.objects.registry import artefacts
+from slbench.scene.bsdfs import DEFAULT, bsdfs
 
 
 def embedded(
@@ -75,6 +76,72 @@ def embedded(
     elif mesh is not None:
         raise InputError(f"{path.name}: {where}.mesh", "a file, or a choice of files", repr(mesh))
     return table
+
+
+def embedded_pictures(
+    materials: Mapping[str, Any], path: Path, where: str, files: dict[str, bytes]
+) -> dict[str, Any]:
+    """Return a scene's materials with the pictures of their textures taken in.
+
+    Parameters
+    ----------
+    materials : mapping
+        Tables of a scene, values drawn or not.
+    path : Path
+        The specification, whose folder the pictures stand in.
+    where : str
+        The tables' place in it, for messages.
+    files : dict of str to bytes
+        Of the data set; gets the pictures.
+
+    Raises
+    ------
+    InputError
+        If a picture cannot be read.
+    """
+
+    def take(name: str, at: str) -> str:
+        return _named("picture", name, content_of(path, name, f"{where}.{at}"), files)
+
+    return _with_pictures(materials, take)
+
+
+def picture_names(materials: Mapping[str, Any]) -> list[str]:
+    """Return the files in the data set that materials may name."""
+    names: list[str] = []
+
+    def take(name: str, _: str) -> str:
+        names.append(name)
+        return name
+
+    _with_pictures(materials, take)
+    return names
+
+
+def _with_pictures(materials: Mapping[str, Any], take: Callable[[str, str], str]) -> dict[str, Any]:
+    """Return materials with other names of pictures: `take` has a name and its place."""
+
+    def renamed(value: Any, at: str) -> Any:
+        if isinstance(value, str):
+            return take(value, at)
+        if not isinstance(value, Mapping):
+            return value
+        if isinstance(value.get("choice"), list | tuple):
+            return {**value, "choice": [renamed(one, at) for one in value["choice"]]}
+        return {**value, "path": renamed(value["path"], f"{at}.path")} if "path" in value else value
+
+    found = {}
+    for name, table in materials.items():
+        kind = table.get("bsdf", DEFAULT) if isinstance(table, Mapping) else None
+        if not isinstance(kind, str) or kind not in bsdfs:  # the scene says what is wrong
+            found[name] = table
+            continue
+        takes = bsdfs.get(kind).takes_texture
+        found[name] = {
+            key: renamed(value, f"{name}.{key}") if takes(key) else value
+            for key, value in table.items()
+        }
+    return found
 
 
 def _file_parameters(table: Mapping[str, Any]) -> list[str]:

@@ -64,7 +64,14 @@ from slbench.datasets.spec.distributions import (
     written,
 )
 from slbench.datasets.spec.distributions import Path as Place
-from slbench.datasets.spec.embedded import content_of, embedded, embedded_module, file_names
+from slbench.datasets.spec.embedded import (
+    content_of,
+    embedded,
+    embedded_module,
+    embedded_pictures,
+    file_names,
+    picture_names,
+)
 from slbench.datasets.spec.patterns import Patterns, resolved
 from slbench.datasets.store.index import columns
 from slbench.datasets.store.sample import EXACT_BITS, RIG, capture_prefix
@@ -200,6 +207,7 @@ class Specification(Parameters):
             names.update(patterns.files or ())
         for table in (*self.objects, *self.scene.get("objects", ())):
             names.update(file_names(table))
+        names.update(picture_names(self.scene.get("materials", {})))
         return names
 
 
@@ -254,6 +262,9 @@ def load(
     if rig_file is not None:
         files[RIG] = content_of(path, rig_file, "scene.rig.file")
         scene["rig"] = {**scene["rig"], "file": RIG}
+    if isinstance(scene.get("materials"), dict):
+        materials = scene["materials"]
+        scene["materials"] = embedded_pictures(materials, path, "scene.materials", files)
     if "objects" in scene:
         scene["objects"] = [
             embedded(table, path, f"scene.objects[{k}]", files)

@@ -44,7 +44,7 @@ _LINEAR = (".glb", ".gltf", ".step", ".stp")
 _SILENT = {"name", "doubleSided", "alphaMode", "alphaCutoff", "extras", "extensions", "kd", "ka"}
 _SILENT |= {"illum", "ni", "diffuse", "ambient", "specular", "glossiness", "image"}
 _SILENT |= {"baseColorFactor", "baseColorTexture", "pbrMetallicRoughness"}
-_SILENT |= {"metallicFactor", "roughnessFactor"}
+_SILENT |= {"metallicFactor", "roughnessFactor", "metallicRoughnessTexture", "normalTexture"}
 #: Suffixes of pictures that a material names.
 _PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".tga", ".webp", ".gif"}
 #: Extensions of glTF that change no look.
@@ -71,6 +71,7 @@ class Content:
     parts: list[Part] = field(default_factory=list)
     unused: dict[str, None] = field(default_factory=dict)
     textured: bool = False  #: whether a glTF names a texture
+    pictures: dict[Any, Pixels] = field(default_factory=dict)  #: that parts share
 
     def leave(self, *names: str) -> None:
         """Remember what is not used."""
@@ -219,27 +220,25 @@ def _part(name: str, mesh: Any, path: Path, linear: bool, content: Content) -> P
     normals = mesh._cache.cache.get("vertex_normals")
     visual = mesh.visual
     material, uv = getattr(visual, "material", None), getattr(visual, "uv", None)
-    factor, picture = _of_material(material, path, content)
+    look = _of_material(material, path, content)
     colours = _vertex_colours(visual, len(faces), linear)
-    if uv is not None and len(uv) != len(vertices):
+    if uv is None or len(uv) != len(vertices):
         uv = None
-    if picture is not None and uv is None:
-        content.leave("a picture without texture coordinates")
-        picture = None
+        if look.maps:
+            content.leave("pictures without texture coordinates")
+        look = look.without_maps()
+    picture, factor = look.picture, look.factor
     if picture is not None and colours is not None:
         content.leave("vertex colours beside a texture")
-    surface, albedo = None, None
-    stated = (getattr(material, f"{key}Factor", None) for key in ("metallic", "roughness"))
-    metallic, roughness = (None if value is None else float(value) for value in stated)
-    if picture is not None:
-        surface = Surface(1.0, Pixels(picture), metallic=metallic, roughness=roughness)
-    elif colours is not None:
+    level, albedo = 1.0, None
+    if picture is None and colours is not None:
         corners = colours if colours.shape[:2] == (len(faces), 3) else colours[faces]
         albedo = np.clip(luminance(corners * (1.0 if factor is None else factor)), 0.0, 1.0)
-        surface = Surface(1.0, None, True, metallic, roughness)
-    elif factor is not None:
+    elif picture is None and factor is not None:
         level = float(np.clip(luminance(factor), 0.0, 1.0))
-        surface = Surface(level, metallic=metallic, roughness=roughness)
+    stated = any(one is not None for one in (picture, albedo, factor, *look.maps))
+    gloss = (look.metallic, look.roughness, look.normals)
+    surface = Surface(level, picture, albedo is not None, *gloss) if stated else None
     return Part(
         name,
         vertices,
@@ -251,43 +250,98 @@ def _part(name: str, mesh: Any, path: Path, linear: bool, content: Content) -> P
     )
 
 
-def _of_material(
-    material: Any, path: Path, content: Content
-) -> tuple[NDArray[np.float64] | None, NDArray[np.float32] | None]:
-    """Return a material's factor (3,), linear, and the albedo of its texture; None for neither."""
+@dataclass(frozen=True)
+class _Look:
+    """What a material states."""
+
+    factor: NDArray[np.float64] | None = None  #: of red, green and blue, linear
+    picture: Pixels | None = None
+    metallic: float | Pixels | None = None
+    roughness: float | Pixels | None = None
+    normals: Pixels | None = None
+
+    @property
+    def maps(self) -> list[Pixels]:
+        """All pictures."""
+        values = (self.picture, self.metallic, self.roughness, self.normals)
+        return [one for one in values if isinstance(one, Pixels)]
+
+    def without_maps(self) -> _Look:
+        """Return the numbers alone."""
+        metallic, roughness = (
+            None if isinstance(v, Pixels) else v for v in (self.metallic, self.roughness)
+        )
+        return _Look(self.factor, None, metallic, roughness)
+
+
+def _of_material(material: Any, path: Path, content: Content) -> _Look:
+    """Return what a material states: a Wavefront one its colour, that of a glTF its gloss too."""
     if material is None:
-        return None, None
-    if isinstance(material, trimesh.visual.material.PBRMaterial):
-        stated, image = material.baseColorFactor, material.baseColorTexture
-        factor = None if stated is None else unit_range(np.asarray(stated))[:3]
-        given = {k for k, v in vars(material)["_data"].items() if v is not None}
-        content.leave(*sorted(given - _SILENT))
-        if material.alphaMode not in (None, "OPAQUE"):
-            content.leave("transparency")
-    else:
+        return _Look()
+    if not isinstance(material, trimesh.visual.material.PBRMaterial):
         keys = dict(getattr(material, "kwargs", None) or {})
         stated, image = keys.get("kd"), getattr(material, "image", None)
         factor = None if stated is None else np.resize(np.asarray(stated, np.float64), 3)
         content.leave(*sorted(set(keys) - _SILENT))
-    if image is None:
-        return factor, None
-    return factor, _albedo_of(image, 1.0 if factor is None else factor, path, content)
+        return _Look(factor, _albedo_of(image, factor, path, content))
+    stated = material.baseColorFactor
+    factor = None if stated is None else unit_range(np.asarray(stated))[:3]
+    given = {k for k, v in vars(material)["_data"].items() if v is not None}
+    content.leave(*sorted(given - _SILENT))
+    if material.alphaMode not in (None, "OPAQUE"):
+        content.leave("transparency")
+    metallic, roughness = (
+        None if value is None else float(value)
+        for value in (material.metallicFactor, material.roughnessFactor)
+    )
+    both, normals = material.metallicRoughnessTexture, material.normalTexture
+    return _Look(
+        factor,
+        _albedo_of(material.baseColorTexture, factor, path, content),
+        _values_of(both, 2, metallic, path, content) or metallic,
+        _values_of(both, 1, roughness, path, content) or roughness,
+        _values_of(normals, None, None, path, content),
+    )
 
 
-def _albedo_of(image: Any, factor: Any, path: Path, content: Content) -> NDArray[np.float32]:
+def _albedo_of(image: Any, factor: Any, path: Path, content: Content) -> Pixels | None:
     """Return the albedo (H, W) of a picture's pixels times a factor of red, green and blue."""
+    if image is None:
+        return None
+    weights = luminance(np.eye(3)) * (1.0 if factor is None else factor)
+    key = (id(image), *weights)
+    if key not in content.pictures:
+        table = decode_srgb(np.arange(256) / 255.0)
+        pixels = _pixels(image, path, content)
+        found = sum(w * table[pixels[..., k]] for k, w in enumerate(weights))
+        content.pictures[key] = Pixels(np.clip(found, 0.0, 1.0))
+    return content.pictures[key]
+
+
+def _values_of(
+    image: Any, channel: int | None, factor: float | None, path: Path, content: Content
+) -> Pixels | None:
+    """Return linear values of a picture's channel (H, W) times a factor, or all (H, W, 3)."""
+    if image is None:
+        return None
+    scale = 1.0 if factor is None else min(max(factor, 0.0), 1.0)
+    key = (id(image), channel, scale)
+    if key not in content.pictures:
+        values = _pixels(image, path, content)[..., :3] / 255.0
+        content.pictures[key] = Pixels(values if channel is None else scale * values[..., channel])
+    return content.pictures[key]
+
+
+def _pixels(image: Any, path: Path, content: Content) -> NDArray[np.uint8]:
+    """Return a picture's pixels (H, W, 4), unless it is out of all proportion to the file."""
     width, height = image.size
     check_unpacked(path, 4 * width * height, path.stat().st_size)
-    if image.mode.startswith("I;16"):
-        grey = decode_srgb(unit_range(np.asarray(image).astype(np.uint16)))
-        return np.asarray(grey * luminance(factor * np.ones(3)), dtype=np.float32)
+    if image.mode.startswith("I;16"):  # grey of 16 bits; of its own PIL would cut it off
+        image = Image.fromarray((np.asarray(image).astype(np.uint16) >> 8).astype(np.uint8))
     pixels = np.asarray(image.convert("RGBA"))
     if pixels[..., 3].min() < 255:
         content.leave("transparency")
-    table = decode_srgb(np.arange(256) / 255.0)
-    weights = luminance(np.eye(3)) * factor
-    found = sum(w * table[pixels[..., k]] for k, w in enumerate(weights))
-    return np.asarray(np.clip(found, 0.0, 1.0), dtype=np.float32)
+    return pixels
 
 
 def _vertex_colours(visual: Any, faces: int, linear: bool) -> NDArray[np.float64] | None:
