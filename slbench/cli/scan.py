@@ -28,6 +28,7 @@ from slbench.core.validation.types import Samples, Shifts
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from slbench.score.points import Score
     from slbench.simulate.scan import Scan, ScanScores
 
 
@@ -135,6 +136,30 @@ def _scan_table(result: Scan) -> Table:
     return table
 
 
+def _declared_rows(score: Score) -> list[tuple[str, str]]:
+    """Return what a part's file declares, (quantity, value)."""
+    um = 1e3
+    rows = [
+        (
+            f"diameter {f.nominal_diameter_mm:g} mm, {f.name}",
+            f"{f.diameter_mm:.4f} mm, u {um * f.diameter_uncertainty_mm:.2f} µm",
+        )
+        for f in (*score.cylinders, *score.circles)
+    ]
+    rows += [
+        (
+            f"cone {c.nominal_angle_deg:.4g} deg, {c.name}",
+            f"{c.angle_deg:.4f} deg, u {c.angle_uncertainty_deg:.4f} deg",
+        )
+        for c in score.cones
+    ]
+    for d in score.dimensions:
+        limits = f", {d.tolerance}: {d.verdict}" if d.verdict else ""
+        value = f"{d.measured:.4f} {d.unit}, u {d.uncertainty:.4f} {d.unit}{limits}"
+        rows.append((f"{d.name} ({d.type})", value))
+    return rows
+
+
 def _feature_rows(scores: ScanScores) -> list[tuple[str, str]]:
     """Return features and fusion of a scored scan, (quantity, value)."""
     score, um = scores.points, 1e3
@@ -164,6 +189,7 @@ def _feature_rows(scores: ScanScores) -> list[tuple[str, str]]:
         )
         for s in score.spacings
     ]
+    rows += _declared_rows(score)
     fusion = scores.fusion
     if fusion is not None:
         rows += [

@@ -10,6 +10,8 @@ from slbench.objects.artefact import (
     SphereFeature,
     surface_height,
 )
+from slbench.objects.declared.dimensions import Dimension
+from slbench.objects.declared.surface import SurfaceFeature
 from slbench.objects.loading import build_artefact, load_artefact, measure
 from slbench.objects.registry import ArtefactKind, artefacts
 
@@ -18,10 +20,12 @@ __all__ = [
     "REFERENCE",
     "Artefact",
     "ArtefactKind",
+    "Dimension",
     "Feature",
     "Mesh",
     "PlaneFeature",
     "SphereFeature",
+    "SurfaceFeature",
     "artefacts",
     "build_artefact",
     "load_artefact",

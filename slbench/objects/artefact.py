@@ -8,152 +8,25 @@ feature and compares the fit with the feature, as one does with a real step bloc
 
 import dataclasses
 from collections.abc import Mapping
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.cloud.fits.geometry import Plane, Sphere
 from slbench.core.errors import InputError
-from slbench.core.show.display import block, numbers
-from slbench.objects.surface import Surface, corner_values
-from slbench.rig.pose import product
-
-if TYPE_CHECKING:
-    import trimesh
+from slbench.core.show.display import block
+from slbench.objects.declared.dimensions import Dimension
+from slbench.objects.declared.regions import Ball, Box, Region
+from slbench.objects.declared.surface import SurfaceFeature
+from slbench.objects.surface import Surface
+from slbench.objects.triangles import Mesh
 
 #: Name of the face that heights are taken from.
 REFERENCE = "reference"
 
 #: Name of the only part of an artefact made of one material.
 BODY = "body"
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Mesh:
-    """Triangles, counter-clockwise seen from outside.
-
-    Parameters
-    ----------
-    vertices : (n, 3) array_like of float
-        Points, mm.
-    faces : (m, 3) array_like of int
-        Indices into `vertices`.
-    uv : (m, 3, 2) array_like of float, optional
-        Texture coordinates at the corners of the faces, v upwards; NaN where a part has none.
-        Corners, not vertices: along a seam a vertex has several.
-    albedo : (m, 3) array_like of float, optional
-        Albedo at the corners of the faces, in [0, 1]; NaN where a part has none.
-    normals : (m, 3, 3) array_like of float, optional
-        Unit normals at the corners of the faces that light is shaded by; NaN where a part has none.
-        The true surface stays that of the facets.
-
-    Raises
-    ------
-    InputError
-        If vertices or faces are empty, of another shape, not finite, or an index is out of range.
-    """
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uv: NDArray[np.float64] | None = None
-    albedo: NDArray[np.float64] | None = None
-    normals: NDArray[np.float64] | None = None
-
-    def __post_init__(self) -> None:
-        vertices = np.array(self.vertices, dtype=np.float64)
-        faces = np.array(self.faces)
-        if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) == 0:
-            raise InputError("mesh: vertices", "an (n, 3) array, n >= 1", f"{vertices.shape}")
-        if (
-            faces.ndim != 2
-            or faces.shape[1] != 3
-            or len(faces) == 0
-            or faces.dtype.kind not in "iu"
-        ):
-            expected = "an (m, 3) array of int, m >= 1"
-            raise InputError("mesh: faces", expected, f"{faces.dtype} of shape {faces.shape}")
-        if not np.isfinite(vertices).all():
-            bad = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
-            raise InputError("mesh: vertices", "finite coordinates", f"{bad} that are not")
-        if faces.min() < 0 or faces.max() >= len(vertices):
-            expected = f"indices from 0 to {len(vertices) - 1}"
-            raise InputError("mesh: faces", expected, f"{faces.min()} to {faces.max()}")
-        faces = faces.astype(np.int64)
-        vertices.setflags(write=False)
-        faces.setflags(write=False)
-        object.__setattr__(self, "vertices", vertices)
-        object.__setattr__(self, "faces", faces)
-        for name, width in (("uv", 2), ("albedo", 0), ("normals", 3)):
-            values = corner_values(getattr(self, name), len(faces), width, name)
-            object.__setattr__(self, name, values)
-
-    def __repr__(self) -> str:
-        size = numbers(self.bounds[1] - self.bounds[0], " x ")
-        return f"<Mesh of {len(self.vertices)} vertices and {len(self.faces)} faces, {size} mm>"
-
-    @cached_property
-    def bounds(self) -> NDArray[np.float64]:
-        """Lowest and highest corner of the bounding box, (2, 3) float, mm."""
-        used = self.vertices[np.unique(self.faces)]
-        return np.stack((used.min(axis=0), used.max(axis=0)))
-
-    @cached_property
-    def is_watertight(self) -> bool:
-        """Whether every edge is shared by exactly two faces."""
-        edges = np.sort(self.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        _, counts = np.unique(edges @ [len(self.vertices), 1], return_counts=True)
-        return bool(np.all(counts == 2))
-
-    @cached_property
-    def volume(self) -> float:
-        """Enclosed volume, mm^3; negative where the faces look inwards."""
-        # About a corner of the bounding box: no cancellation for a mesh far from the origin.
-        a, b, c = np.moveaxis(self.vertices[self.faces] - self.bounds[0], 1, 0)
-        return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)
-
-    @cached_property
-    def face_areas(self) -> NDArray[np.float64]:
-        """Area of every face, (m,) float, mm^2."""
-        return np.asarray(self.as_trimesh.area_faces)
-
-    def transformed(self, rotation: ArrayLike, translation: ArrayLike) -> "Mesh":
-        """Move the mesh rigidly: ``x -> R x + t``.
-
-        Parameters
-        ----------
-        rotation : (3, 3) array_like
-            A proper rotation; orthonormal to 1e-9, which is 1 nm in a metre.
-        translation : (3,) array_like
-            Millimetres.
-
-        Returns
-        -------
-        Mesh
-            The moved mesh, faces in the same order.
-
-        Raises
-        ------
-        InputError
-            If `rotation` is not a rotation, or a shape or value is not as above.
-        """
-        r = np.asarray(rotation, dtype=np.float64)
-        t = np.asarray(translation, dtype=np.float64)
-        if r.shape != (3, 3) or t.shape != (3,) or not np.isfinite(t).all():
-            raise InputError("transform", "finite (3, 3) and (3,)", f"{r.shape} and {t.shape}")
-        if not (np.abs(r @ r.T - np.eye(3)).max() < 1e-9 and np.linalg.det(r) > 0):
-            raise InputError("transform: rotation", "a proper rotation", r.tolist())
-        normals = self.normals
-        if normals is not None:
-            normals = product(normals.reshape(-1, 3), r.T).reshape(normals.shape)
-        return Mesh(product(self.vertices, r.T) + t, self.faces, self.uv, self.albedo, normals)
-
-    @cached_property
-    def as_trimesh(self) -> "trimesh.Trimesh":
-        """The same vertices and faces as trimesh's mesh."""
-        import trimesh  # half a second, and few commands need it
-
-        return trimesh.Trimesh(self.vertices, self.faces, process=False)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -246,6 +119,10 @@ class Artefact:
         True centres of the dots or corners of a calibration target, object frame.
     surfaces : mapping of str to Surface
         What a mesh file says of how its parts look, by part.
+    declared : tuple of SurfaceFeature
+        Features that the artefact's file declares on its mesh.
+    dimensions : tuple of Dimension
+        Dimensions of features and between them, certified or the mesh's own.
 
     Raises
     ------
@@ -263,9 +140,11 @@ class Artefact:
     parts: Mapping[str, NDArray[np.int64]] = dataclasses.field(default_factory=dict)
     targets: NDArray[np.float64] | None = None
     surfaces: Mapping[str, Surface] = dataclasses.field(default_factory=dict)
+    declared: tuple[SurfaceFeature, ...] = ()
+    dimensions: tuple[Dimension, ...] = ()
 
     def __post_init__(self) -> None:
-        names = [feature.name for feature in self.features]
+        names = [feature.name for feature in (*self.features, *self.declared)]
         if len(set(names)) != len(names):
             raise InputError(f"artefact {self.name}: features", "unique names", names)
         parts = dict(self.parts) or {BODY: np.arange(len(self.mesh.faces))}
@@ -287,6 +166,11 @@ class Artefact:
         )
 
     @property
+    def measurable(self) -> tuple[SurfaceFeature, ...]:
+        """What dimensions may be of: declared features, and the flat faces and spheres."""
+        return (*self.declared, *(as_surface(feature) for feature in self.features))
+
+    @property
     def planes(self) -> tuple[PlaneFeature, ...]:
         """All flat faces, the reference first where there is one."""
         return tuple(f for f in self.features if isinstance(f, PlaneFeature))
@@ -305,6 +189,20 @@ class Artefact:
     def spheres(self) -> tuple[SphereFeature, ...]:
         """All spheres."""
         return tuple(f for f in self.features if isinstance(f, SphereFeature))
+
+
+def as_surface(feature: Feature) -> SurfaceFeature:
+    """Return a flat face or a sphere as a feature that dimensions may be of."""
+    if isinstance(feature, SphereFeature):
+        sphere = Sphere(np.array(feature.centre_mm), radius=feature.radius_mm)
+        reach = 0.2 * feature.radius_mm
+        place: Region = Ball(sphere.point, feature.radius_mm + reach)
+        return SurfaceFeature(feature.name, sphere, 1.0, place, None, 0.0, reach, 0.0, 0.0)
+    low, high = zip(feature.x_mm, feature.y_mm, (-np.inf, np.inf), strict=True)
+    plane = Plane(np.array([np.mean(feature.x_mm), np.mean(feature.y_mm), feature.z_mm]))
+    across = float(np.hypot(*np.ptp((feature.x_mm, feature.y_mm), axis=1)))
+    box = Box(np.array((low, high)))
+    return SurfaceFeature(feature.name, plane, 1.0, box, None, 0.0, np.inf, across, 0.0)
 
 
 def measure_features(artefact: Artefact) -> dict[str, float]:

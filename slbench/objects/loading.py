@@ -12,7 +12,9 @@ artefact it is, its parameters, its certified dimensions and where they come fro
     [certified]
     sphere_diameter_mm = 25.0
 
-Loading it measures the mesh and compares it with the certified dimensions.
+Loading it measures the mesh and compares it with the certified dimensions.  Tables ``[[features]]``
+and ``[[dimensions]]`` declare what is to be measured on the mesh besides
+(:mod:`slbench.objects.declared`).
 """
 
 import dataclasses
@@ -30,6 +32,9 @@ from slbench.core.validation.types import Finite
 from slbench.core.validation.values import validated
 from slbench.objects.artefact import Artefact, measure_features
 from slbench.objects.cache import cached
+from slbench.objects.declared.certify import declare_dimensions
+from slbench.objects.declared.declare import declare_features
+from slbench.objects.declared.tables import DimensionTable, FeatureTable
 from slbench.objects.registry import artefacts
 
 
@@ -40,6 +45,8 @@ class ArtefactFile(Parameters):
     source: str
     parameters: dict[str, Any] = Field(default_factory=dict)
     certified: dict[str, Finite] = Field(default_factory=dict)
+    features: tuple[FeatureTable, ...] = ()
+    dimensions: tuple[DimensionTable, ...] = ()
 
 
 def build_artefact(
@@ -153,7 +160,13 @@ def load_artefact(name_or_path: str | Path) -> Artefact:
     Raises
     ------
     InputError
-        If the file cannot be used, or certifies what its mesh does not have.
+        If the file cannot be used, certifies what its mesh does not have, or declares a feature
+        that is not there.
+
+    Warns
+    -----
+    InputWarning
+        Where the mesh does not have a declared dimension within its tolerance.
     """
     path = resources.find("objects", name_or_path)
     file = read_artefact_file(path)
@@ -168,6 +181,25 @@ def load_artefact(name_or_path: str | Path) -> Artefact:
         # A nanometre, and the rounding of a mesh file in single precision.
         if not abs(value - measured[key]) <= 1e-6 + 1e-6 * abs(value):
             raise InputError(where, f"{measured[key]:.9g} as the mesh has it", f"{value:.9g}")
-    return dataclasses.replace(
+    artefact = dataclasses.replace(
         artefact, source=file.source, certified={**artefact.certified, **file.certified}
     )
+    return _declared(artefact, file, path.name)
+
+
+def _declared(artefact: Artefact, file: ArtefactFile, where: str) -> Artefact:
+    """Return an artefact with the features and dimensions that its file declares."""
+    if not file.features and not file.dimensions:
+        return artefact
+    groups = artefacts.get(artefact.kind).groups
+    declared = declare_features(
+        file.features,
+        artefact.mesh,
+        lambda: artefact.parts if groups is None else groups(artefact),
+        [feature.name for feature in artefact.features],
+        where,
+    )
+    artefact = dataclasses.replace(artefact, declared=declared)
+    elements = {surface.name: surface.element for surface in artefact.measurable}
+    dimensions = declare_dimensions(file.dimensions, elements, where)
+    return dataclasses.replace(artefact, dimensions=dimensions)

@@ -7,9 +7,12 @@ that a scene names.  No builder is imported before it is asked for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from slbench.core.registry import Registry
 from slbench.core.validation.tables import Parameters
@@ -33,12 +36,16 @@ class ArtefactKind:
     files : tuple of str
         Names of the parameters that are paths of files, relative to the file that they are
         written in.
+    groups : callable, optional
+        ``groups(artefact)`` gives the faces of the mesh that have a name, by which features may be
+        declared; its parts if not given.
     """
 
     parameters: type[Parameters]
     build: Callable[[Any, str, str], Artefact]
     measure: Callable[[Artefact], dict[str, float]] | None = None
     files: tuple[str, ...] = ()
+    groups: Callable[[Artefact], Mapping[str, NDArray[np.int64]]] | None = None
 
 
 artefacts: Registry[ArtefactKind] = Registry(
@@ -60,6 +67,7 @@ artefacts: Registry[ArtefactKind] = Registry(
         "siemens_star": "slbench.objects.shapes.siemens_star:KIND",
         "sinusoid": "slbench.objects.shapes.sinusoid:KIND",
         "propeller": "slbench.objects.parts.propeller:KIND",
+        "feature_plate": "slbench.objects.parts.feature_plate:KIND",
         "brick": "slbench.objects.parts.brick:KIND",
         "engine_block": "slbench.objects.parts.engine_block:KIND",
         "ball_bar": "slbench.objects.shapes.ball_bar:KIND",

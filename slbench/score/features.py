@@ -20,108 +20,17 @@ from numpy.typing import NDArray
 from slbench.cloud.fits.covariance import along_lines
 from slbench.cloud.fits.squares import core
 from slbench.objects import REFERENCE, Artefact, PlaneFeature, SphereFeature
-from slbench.rig import Device, Pose, Rig
+from slbench.rig import Pose, Rig
 from slbench.rig.pose import product
+from slbench.score.residuals import MIN_POINTS, facing, spread, trimmed_range
+from slbench.score.surfaces import Marked, fit_surfaces
+from slbench.score.values import FeatureScore, PlaneScore, SpacingScore, SphereScore, StepScore
 
 Array = NDArray[np.float64]
 
-#: Share of points set aside before form is taken (VDI/VDE 2634-2).
-SET_ASIDE = 0.003
-#: Fewer points than this carry no feature.
-MIN_POINTS = 20
 #: Where a sphere turns further than this from a device, its points are not fitted: the pixel's
 #: footprint there is long, its light faint, and half of it may see the background.
 MAX_INCIDENCE = np.deg2rad(60.0)
-
-
-class _Length:
-    """A length with its nominal value."""
-
-    nominal_mm: float
-    measured_mm: float
-
-    @property
-    def deviation_mm(self) -> float:
-        """Measured minus nominal."""
-        return self.measured_mm - self.nominal_mm
-
-    @property
-    def error_mm(self) -> float:
-        """Magnitude of the deviation."""
-        return abs(self.deviation_mm)
-
-
-@dataclass(frozen=True)
-class StepScore(_Length):
-    """Height of one step above the reference face, mm.
-
-    ``measured_mm`` is the difference between the least-squares planes of step and reference,
-    each taken over the middle of its own face, along the object's z axis (thesis 6.2.3: the
-    block is aligned with the stage); ``std_mm`` the standard deviation of the step's points
-    about their plane; ``uncertainty_mm`` the standard uncertainty of the height that the
-    points' scatter leaves.
-    """
-
-    object: str
-    name: str
-    nominal_mm: float
-    measured_mm: float
-    std_mm: float
-    uncertainty_mm: float
-    points: int
-
-
-@dataclass(frozen=True)
-class PlaneScore:
-    """Flatness of one plane: range of residuals, mm, 0.3 % of the points set aside."""
-
-    object: str
-    name: str
-    flatness_mm: float
-    std_mm: float
-    points: int
-
-
-@dataclass(frozen=True)
-class SphereScore:
-    """Least-squares sphere through the points that face both devices, mm.
-
-    ``form_mm`` is the range of the residuals, 0.3 % of the points set aside.
-    """
-
-    object: str
-    name: str
-    nominal_radius_mm: float
-    radius_mm: float
-    radius_uncertainty_mm: float
-    centre_error_mm: float
-    form_mm: float
-    std_mm: float
-    points: int
-
-    @property
-    def radius_deviation_mm(self) -> float:
-        """Measured minus nominal radius."""
-        return self.radius_mm - self.nominal_radius_mm
-
-    @property
-    def radius_error_mm(self) -> float:
-        """Magnitude of the deviation."""
-        return abs(self.radius_deviation_mm)
-
-
-@dataclass(frozen=True)
-class SpacingScore(_Length):
-    """Distance between the centres of two spheres of one object, mm (ISO 10360-13)."""
-
-    object: str
-    name: str
-    nominal_mm: float
-    measured_mm: float
-    uncertainty_mm: float
-
-
-FeatureScore = StepScore | PlaneScore | SphereScore | SpacingScore
 
 
 def fit_features(
@@ -130,6 +39,7 @@ def fit_features(
     pose: Pose,
     lines: NDArray[np.integer] | None = None,
     rig: Rig | None = None,
+    smooth: NDArray[np.bool_] | None = None,
 ) -> list[FeatureScore]:
     """Fit an artefact's features to measured points; no ground truth needed.
 
@@ -144,16 +54,22 @@ def fit_features(
         Image line of each point (its column, where columns are coded): errors go together
         along a line and from one line to the next.  Without it, points are independent.
     rig : Rig, optional
-        So that spheres are fitted where they face both devices.
+        So that round surfaces are fitted where they face both devices.
+    smooth : (N,) bool, optional
+        Points whose neighbours lie on the same smooth surface.  The others serve edges alone
+        (circles), which lie between them; without it all points serve both.
 
     Returns
     -------
     list of StepScore, PlaneScore, SphereScore, SpacingScore
-        Features with fewer than 20 points are left out.  Points further than six robust
+        And CylinderScore, ConeScore, CircleScore, DimensionScore for what the artefact's file
+        declares.  Features with fewer than 20 points are left out.  Points further than six robust
         standard deviations from the rest take no part in a fit; they do count as form.
     """
-    local = pose.to_local(points)
-    labels = np.arange(len(local)) if lines is None else np.asarray(lines)
+    edges = Marked(points, pose.to_local(points), lines)
+    inner = edges if smooth is None else edges.of(np.flatnonzero(smooth))
+    points, local = inner.points, inner.local
+    labels = np.arange(len(local)) if inner.lines is None else inner.lines
     found: list[FeatureScore] = []
     planes: dict[str, _Plane] = {}
     for face in artefact.planes:
@@ -176,24 +92,12 @@ def fit_features(
         if rig is not None:
             normal = product(outward[near], pose.rotation.T)
             for device in (rig.camera, rig.projector):
-                near, normal = _facing(device, points, near, normal)
+                near, normal = facing(device, points, near, normal, MAX_INCIDENCE)
         if len(near) >= MIN_POINTS:
             balls.append(_Ball.fit(sphere, local[near], labels[near]))
     found += [ball.score(artefact.name) for ball in balls]
     found += [a.spacing(artefact.name, b) for a, b in itertools.combinations(balls, 2)]
-    return found
-
-
-def _facing(
-    device: Device, points: Array, chosen: NDArray[np.intp], normal: Array
-) -> tuple[NDArray[np.intp], Array]:
-    """Keep the chosen points whose normal turns no further than allowed from a device."""
-    toward = device.chief_origin(points[chosen]) - points[chosen]
-    cosine = np.sum(toward * normal, axis=-1) / (
-        np.linalg.norm(toward, axis=-1) * np.linalg.norm(normal, axis=-1)
-    )
-    kept = cosine > np.cos(MAX_INCIDENCE)
-    return chosen[kept], normal[kept]
+    return found + fit_surfaces(artefact, inner, edges, pose, rig)
 
 
 def _reach(artefact: Artefact, feature: PlaneFeature) -> float:
@@ -234,8 +138,8 @@ class _Plane:
         return PlaneScore(
             owner,
             self.face.name,
-            _trimmed_range(self.residuals),
-            _spread(self.residuals[self.inliers], 3),
+            trimmed_range(self.residuals),
+            spread(self.residuals[self.inliers], 3),
             len(self.residuals),
         )
 
@@ -245,15 +149,10 @@ class _Plane:
             self.face.name,
             self.face.height_mm,
             self.height_mm - base.height_mm,
-            _spread(self.residuals[self.inliers], 3),
+            spread(self.residuals[self.inliers], 3),
             float(np.sqrt(self.variance_mm2 + base.variance_mm2)),
             len(self.residuals),
         )
-
-
-def _spread(residuals: Array, fitted: int) -> float:
-    """Return the standard deviation of residuals after `fitted` parameters were taken from them."""
-    return float(np.sqrt(np.sum(residuals**2) / max(len(residuals) - fitted, 1)))
 
 
 def fit_sphere(points: Array) -> tuple[Array, float, Array, Array]:
@@ -312,7 +211,7 @@ class _Ball:
         centre, radius, inner, jacobian = fit_sphere(points[kept])
         covariance = along_lines(jacobian, inner, labels[kept])
         residuals = np.linalg.norm(points - centre, axis=-1) - radius
-        return cls(sphere, centre, radius, covariance, residuals, _spread(inner, 4))
+        return cls(sphere, centre, radius, covariance, residuals, spread(inner, 4))
 
     def score(self, owner: str) -> SphereScore:
         return SphereScore(
@@ -322,7 +221,7 @@ class _Ball:
             self.radius,
             float(np.sqrt(self.covariance[3, 3])),
             float(np.linalg.norm(self.centre - np.array(self.sphere.centre_mm))),
-            _trimmed_range(self.residuals),
+            trimmed_range(self.residuals),
             self.std,
             len(self.residuals),
         )
@@ -340,11 +239,3 @@ class _Ball:
             distance,
             float(np.sqrt(variance)),
         )
-
-
-def _trimmed_range(residuals: Array) -> float:
-    """Range of the residuals after the 0.3 % furthest from zero have been set aside."""
-    kept = residuals.size - int(np.ceil(SET_ASIDE * residuals.size))
-    kept = max(kept, 1)
-    nearest = np.argpartition(np.abs(residuals), kept - 1)[:kept]
-    return float(np.ptp(residuals[nearest]))

@@ -7,6 +7,7 @@ the pixel's centre ray truly meets.  Features are fitted to the measured points 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -21,18 +22,32 @@ from slbench.patterns import PhaseMap
 from slbench.rig import Rig
 from slbench.scene.model import SceneObject
 from slbench.scene.truth import GroundTruth
-from slbench.score.features import (
+from slbench.score.features import fit_features
+from slbench.score.values import (
+    CircleScore,
+    ConeScore,
+    CylinderScore,
+    DimensionScore,
     FeatureScore,
     PlaneScore,
     SpacingScore,
     SphereScore,
     StepScore,
-    fit_features,
 )
 
 Array = NDArray[np.float64]
 _UM = 1e3
-_FEATURES = ("steps", "planes", "spheres", "spacings")
+#: Lists of features of a score, and what is in each.
+FEATURES: dict[str, type[FeatureScore]] = {
+    "steps": StepScore,
+    "planes": PlaneScore,
+    "spheres": SphereScore,
+    "spacings": SpacingScore,
+    "cylinders": CylinderScore,
+    "cones": ConeScore,
+    "circles": CircleScore,
+    "dimensions": DimensionScore,
+}
 
 
 @dataclass(frozen=True)
@@ -69,9 +84,13 @@ class Score:
     planes: list[PlaneScore] = field(default_factory=list)
     spheres: list[SphereScore] = field(default_factory=list)
     spacings: list[SpacingScore] = field(default_factory=list)
+    cylinders: list[CylinderScore] = field(default_factory=list)
+    cones: list[ConeScore] = field(default_factory=list)
+    circles: list[CircleScore] = field(default_factory=list)
+    dimensions: list[DimensionScore] = field(default_factory=list)
 
     def __repr__(self) -> str:
-        counts = {name: len(getattr(self, name)) for name in _FEATURES}
+        counts = {name: len(getattr(self, name)) for name in FEATURES}
         features = ", ".join(
             f"{count} {name if count > 1 else name[:-1]}" for name, count in counts.items() if count
         )
@@ -165,7 +184,8 @@ def score(
     smooth_error = distance[in_smooth[lit]]
     unsure = cloud.u_total_mm
     coverage = _coverage(cloud, error, in_smooth & lit)
-    features = _features(cloud, truth.object_id, in_smooth, objects, rig)
+    seen = np.where(truth.lit, truth.object_id, -1)
+    features = _features(cloud, seen, in_smooth, objects, rig)
     return Score(
         points=len(cloud),
         completeness=_ratio(_pixels(cloud, lit), np.count_nonzero(truth.lit)),
@@ -185,10 +205,7 @@ def score(
         smooth_rms_mm=_rms(smooth_error),
         smooth_bias_px={axis: _mean(values) for axis, values in residual_px.items()},
         smooth_rms_px={axis: _rms(values) for axis, values in residual_px.items()},
-        steps=[f for f in features if isinstance(f, StepScore)],
-        planes=[f for f in features if isinstance(f, PlaneScore)],
-        spheres=[f for f in features if isinstance(f, SphereScore)],
-        spacings=[f for f in features if isinstance(f, SpacingScore)],
+        **by_kind(features),
     )
 
 
@@ -198,6 +215,12 @@ def _pixels(cloud: PointCloud, chosen: NDArray[np.bool_]) -> int:
     u, v = cloud.pixels[chosen].T
     seen[v, u] = True
     return int(np.count_nonzero(seen))
+
+
+def by_kind(features: Iterable[FeatureScore]) -> dict[str, Any]:
+    """Return features by the names of a score's lists."""
+    found = list(features)
+    return {name: [f for f in found if type(f) is kind] for name, kind in FEATURES.items()}
 
 
 def _axes(phase: PhaseMap) -> list[tuple[int, Any]]:
@@ -221,15 +244,16 @@ def _features(
     objects: tuple[SceneObject, ...],
     rig: Rig | None,
 ) -> list[FeatureScore]:
-    """Fit the features of every object to the usable points that lie on it."""
+    """Fit the features of every object to the points that lie on it: surfaces to smooth ones."""
     found: list[FeatureScore] = []
-    owner = np.where(usable, object_id[cloud.pixels[:, 1], cloud.pixels[:, 0]], -1)
+    owner = object_id[cloud.pixels[:, 1], cloud.pixels[:, 0]]
     # What a projector's square pixels do to the phase is the same all along a panel line, so
     # errors go together along the camera line that follows it.
     line = cloud.pixels[:, 0 if "u" in cloud.axes else 1]
     for k, item in enumerate(objects):
         chosen = owner == k
-        found += fit_features(cloud.points[chosen], item.artefact, item.pose, line[chosen], rig)
+        points, smooth = cloud.points[chosen], usable[chosen]
+        found += fit_features(points, item.artefact, item.pose, line[chosen], rig, smooth)
     return found
 
 

@@ -120,14 +120,21 @@ def claims(path):
     path.write_text(text.replace("[[claim]]\n", "[[claim]]\nrepeats = 2\n"), encoding="utf-8")
 
 
-def uncertain_inputs(path):
-    """Write the budget file that the page on uncertainty shows."""
+def shown_file(page, path):
+    """Write a file that a page shows, with its name in its first line."""
     (text,) = (
         match[3]
-        for match in FENCE.finditer(text_of(DOCS / "how-to" / "uncertainty.md"))
+        for match in FENCE.finditer(text_of(DOCS / "how-to" / page))
         if match[3].startswith(f"# {path.name}\n")
     )
     path.write_text(text, encoding="utf-8")
+
+
+def own_claims(path):
+    """Write the claims of the page on one's own part, with fewer repeats."""
+    shown_file("own-part.md", path)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("[[claim]]\n", "[[claim]]\nrepeats = 2\n"), encoding="utf-8")
 
 
 def own_codes(path):
@@ -173,7 +180,10 @@ GIVEN = {
     ),
     "noise.csv": noise_table,
     "accuracy.claims.toml": claims,
-    "budget.toml": uncertain_inputs,
+    "budget.toml": functools.partial(shown_file, "uncertainty.md"),
+    "part.toml": functools.partial(shown_file, "own-part.md"),
+    "bench.toml": functools.partial(shown_file, "own-part.md"),
+    "part.claims.toml": own_claims,
     "mine.py": own_codes,
     "photographs": photographs,
     "data": data_set,

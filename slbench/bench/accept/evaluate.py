@@ -28,7 +28,7 @@ from slbench.bench.accept.surfaces import (
 )
 from slbench.core.show.display import brief
 from slbench.rig import Pose
-from slbench.score.features import SET_ASIDE
+from slbench.score.residuals import SET_ASIDE
 
 Array = NDArray[np.float64]
 _UM = 1e-3

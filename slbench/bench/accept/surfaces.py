@@ -20,9 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.accept.definitions import DISPERSION_SHARE
+from slbench.cloud.fits.squares import core
 from slbench.core.errors import InputError
 from slbench.rig.pose import product
-from slbench.score.features import MIN_POINTS, SET_ASIDE, core, fit_sphere
+from slbench.score.features import fit_sphere
+from slbench.score.residuals import MIN_POINTS, SET_ASIDE
 
 Array = NDArray[np.float64]
 

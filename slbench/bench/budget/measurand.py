@@ -92,5 +92,5 @@ def measurand_of(text: str, scene: Scene, where: str = "measurand") -> Measurand
         label, dot, field = names[0].partition("].")
         if dot and label == f"{feature.kind}[{feature.label}":
             return Measurand(text, feature, owners_of(scene).index(feature.owner), field)
-    known = [f"{f.kind}[{f.label}].{n}" for f in features_of(scene) for n in FEATURE_FIELDS[f.kind]]
+    known = [f"{f.kind}[{f.label}].{n}" for f in features_of(scene) for n in f.fields]
     raise unknown(where, text, known)

@@ -294,8 +294,11 @@ _EVEN: dict[str, Any] = {"prnu": 0.0, "dsnu_e": 0.0}
 def _region(measurands: Sequence[Measurand], artefact: Any, local: Array) -> NDArray[np.bool_]:
     """Return a mask of points (n, 3) on features; of all where their place is not known."""
     found = np.zeros(len(local), bool)
+    declared = {surface.name for surface in artefact.declared}
     for one in (each.feature for each in measurands):
-        if one.kind in ("plane", "step"):
+        if one.name in declared:
+            found[:] = True
+        elif one.kind in ("plane", "step"):
             wanted = {one.name, "reference"} if one.kind == "step" else {one.name}
             for face in artefact.planes:
                 if face.name in wanted:

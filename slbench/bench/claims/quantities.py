@@ -25,12 +25,20 @@ import numpy as np
 from slbench.bench.compare.comparison import SetResult
 from slbench.core.errors import InputError
 from slbench.core.registry import Registry
-from slbench.objects import REFERENCE
+from slbench.objects import REFERENCE, SurfaceFeature
 from slbench.patterns.sequence import compact
 from slbench.scene.model import Scene
-from slbench.score.features import PlaneScore, SpacingScore, SphereScore, StepScore
 from slbench.score.fusion import FusionScore, Sharpness
 from slbench.score.points import Score
+from slbench.score.values import (
+    CircleScore,
+    ConeScore,
+    CylinderScore,
+    PlaneScore,
+    SpacingScore,
+    SphereScore,
+    StepScore,
+)
 from slbench.simulate.scan import Scan
 
 
@@ -76,7 +84,8 @@ SET_FIELDS = tuple(f.name for f in fields(SetResult) if f.type in _NUMBERS)
 _SET_STEP_FIELDS = ("measured_mm", "deviation_mm", "std_mm")
 _SCALARS = tuple(f.name for f in fields(Score) if f.type in _NUMBERS)
 _BY_AXIS = ("smooth_bias_px", "smooth_rms_px")
-_SIZES = ("nominal_mm", "nominal_radius_mm")
+_SIZES = ("nominal_mm", "nominal_radius_mm", "nominal_diameter_mm", "nominal_angle_deg")
+_DIMENSION = ("measured", "error", "deviation", "uncertainty")
 #: Of each kind of feature: the numbers of its score, and how far it is from nominal.
 FEATURE_FIELDS: dict[str, tuple[str, ...]] = {
     kind: (
@@ -88,16 +97,23 @@ FEATURE_FIELDS: dict[str, tuple[str, ...]] = {
         ("plane", PlaneScore, ()),
         ("sphere", SphereScore, ("radius_error_mm", "radius_deviation_mm")),
         ("spacing", SpacingScore, ("error_mm", "deviation_mm")),
+        ("cylinder", CylinderScore, ("diameter_error_mm", "diameter_deviation_mm")),
+        ("cone", ConeScore, ("angle_error_deg", "angle_deviation_deg")),
+        ("circle", CircleScore, ("diameter_error_mm", "diameter_deviation_mm")),
     )
 }
+FEATURE_FIELDS["dimension"] = tuple(f"{name}_{u}" for u in ("mm", "deg") for name in _DIMENSION)
 #: Those of which the largest is the worst: what ``[*]`` may be asked for.
-_LARGEST = ("error_mm", "flatness_mm", "form_mm", "std_mm", "uncertainty_mm")
+_LARGEST = (
+    *("error_mm", "flatness_mm", "form_mm", "std_mm", "uncertainty_mm"),
+    *("error_deg", "uncertainty_deg"),
+)
 _FUSED = tuple(f.name for f in fields(FusionScore) if f.name != "finest")
 _SHARPNESS = tuple(f.name for f in fields(Sharpness))
 
 _FEATURE = re.compile(r"(\w+)\[([^\[\]]+)\]\.(\w+)")
 _SET = re.compile(r"set\[([^\[\]]+)\]\.(\w+|step\[([^\[\]]+)\]\.(\w+))")
-_UNITS = {"mm": "mm", "px": "px", "s": "s", "seconds": "s", "rms": "rad"}
+_UNITS = {"mm": "mm", "px": "px", "s": "s", "seconds": "s", "rms": "rad", "deg": "deg"}
 
 
 @dataclass(frozen=True)
@@ -108,6 +124,14 @@ class Feature:
     owner: str
     name: str
     nominal_mm: float | None
+    #: Unit of a dimension, which is that of all its numbers.
+    unit: str = ""
+
+    @property
+    def fields(self) -> tuple[str, ...]:
+        """The numbers of its score."""
+        every = FEATURE_FIELDS[self.kind]
+        return tuple(name for name in every if not self.unit or name.endswith(f"_{self.unit}"))
 
     @property
     def label(self) -> str:
@@ -233,7 +257,21 @@ def features_of(scene: Scene) -> tuple[Feature, ...]:
         for a, b in itertools.combinations(balls, 2):
             distance = float(np.linalg.norm(np.subtract(a.centre_mm, b.centre_mm)))
             found.append(Feature("spacing", owner, f"{a.name} to {b.name}", distance))
+        for surface in item.artefact.declared:
+            found.append(Feature(surface.kind, owner, surface.name, _size(surface)))
+        for dimension in item.artefact.dimensions:
+            size = dimension.nominal if dimension.unit == "mm" and not dimension.is_zone else None
+            found.append(Feature("dimension", owner, dimension.name, size, dimension.unit))
     return tuple(found)
+
+
+def _size(surface: SurfaceFeature) -> float | None:
+    """Return the size that a declared feature is chosen by: a ball's radius, other diameters."""
+    if surface.kind in ("plane", "cone"):
+        return None
+    # The mesh has it to rounding; people write what it is meant to be.
+    radius = round(surface.element.radius, 5)
+    return radius if surface.kind == "sphere" else 2.0 * radius
 
 
 def quantities_of(scene: Scene) -> list[str]:
@@ -252,7 +290,7 @@ def quantities_of(scene: Scene) -> list[str]:
             (s for s in candidates if [f for f in alike if f.matches(s)] == [feature]),
             feature.label,
         )
-        names += [f"{feature.kind}[{selector}].{name}" for name in FEATURE_FIELDS[feature.kind]]
+        names += [f"{feature.kind}[{selector}].{name}" for name in feature.fields]
     return names
 
 
@@ -281,7 +319,9 @@ def resolve(text: str, scene: Scene, where: str) -> tuple[str, ...]:
         raise unknown(where, text, known)
     kind, selector, name = match.groups()
     chosen = [f for f in features_of(scene) if f.kind == kind and f.matches(selector.strip())]
-    if not chosen or name not in FEATURE_FIELDS[kind]:
+    if selector == "*":  # lengths or angles
+        chosen = [f for f in chosen if name in f.fields]
+    if not chosen or any(name not in f.fields for f in chosen):
         raise unknown(where, text, known)
     if selector == "*":
         if not name.endswith(_LARGEST):
@@ -327,7 +367,7 @@ def score_values(scan: Scan, further: Iterable[str] = ()) -> dict[str, float]:
         items = [i for i in scored if (i.object, i.name) == _plain(feature)[1:]]
         # Of several objects of one name, a score does not say which one it missed.
         item = items[same.index(feature)] if len(items) == len(same) else None
-        for name in FEATURE_FIELDS[feature.kind]:
+        for name in feature.fields:
             key = f"{feature.kind}[{feature.label}].{name}"
             values[key] = float(getattr(item, name, float("nan")))
     return values

@@ -275,7 +275,7 @@ elements: dict[str, type[Element]] = {
 
 def _unit(vectors: Array) -> tuple[Array, Array]:
     """Return lengths and unit vectors; where there is no length, the x axis."""
-    lengths = np.linalg.norm(vectors, axis=-1)
+    lengths = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))  # a norm along rows takes long
     safe = np.where(lengths > 0.0, lengths, 1.0)
     unit = vectors / safe[:, None]
     unit[lengths == 0.0, 0] = 1.0

@@ -165,7 +165,7 @@ def _weighted(element: Element, points: Array) -> Element | None:
         distance = np.abs(element.distances(points))
         limit = _TUKEY * max(1.4826 * float(np.median(distance)), _ROUNDING_MM)
         weights = np.clip(1.0 - (distance / limit) ** 2, 0.0, None) ** 2
-        step = _step(element, points, weights)
+        step = gauss_newton_step(element, points, weights)
         if step is None:
             return None
         element = element.moved(step)
@@ -192,8 +192,8 @@ def _extent(step: Array, element: Element, size: float) -> float:
     return float(np.abs(step * scale).max())
 
 
-def _step(element: Element, points: Array, weights: Array | None) -> Array | None:
-    """Return the Gauss-Newton step, or None where the points do not determine it."""
+def gauss_newton_step(element: Element, points: Array, weights: Array | None) -> Array | None:
+    """Return the Gauss-Newton step (k,) by weights (N,); None where points do not tell it."""
     residual, jacobian = element.linearised(points)
     if residual.ndim == 2:
         jacobian = jacobian.reshape(-1, jacobian.shape[-1])
@@ -236,7 +236,7 @@ def _least_squares(element: Element, points: Array) -> Element:
     size = max(float(np.ptp(points, axis=0).max()), 1e-12)
     cost = _cost(element, points)
     for _ in range(_STEPS):
-        step = _step(element, points, None)
+        step = gauss_newton_step(element, points, None)
         if step is None:
             return element
         for _ in range(_HALVINGS):

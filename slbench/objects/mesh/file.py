@@ -20,7 +20,8 @@ from slbench.core.units import MILLIMETRES
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import MinLen
 from slbench.objects.artefact import Artefact, Mesh
-from slbench.objects.mesh.reading import SUFFIXES, Content, Part, read_content
+from slbench.objects.mesh.groups import face_groups
+from slbench.objects.mesh.reading import STEP, SUFFIXES, Content, Part, read_content
 from slbench.objects.mesh.shading import largest_turn, smooth_normals
 from slbench.objects.registry import ArtefactKind
 
@@ -43,7 +44,7 @@ class MeshParameters(Parameters):
     path : str
         The file; in a TOML, relative to the TOML's folder.
     unit : {"um", "mm", "cm", "inch", "m"}
-        Unit of the file's coordinates.
+        Unit of the file's coordinates; of STEP files it is their own, whatever is said here.
     centre : bool
         Whether to put the bounding box's middle at x = y = 0 and its bottom at z = 0.
     normals : {"file", "facets", "smooth"}
@@ -89,7 +90,9 @@ def build_mesh_file(parameters: MeshParameters, name: str, where: str) -> Artefa
     path = Path(parameters.path)
     if not path.is_file():
         raise InputError(f"{where}.path", "a mesh file", f"{path}, which is not there")
-    mesh, parts, content = _built(path, MILLIMETRES[parameters.unit])
+    # A STEP file states its unit, and its reader gives metres.
+    unit = "m" if path.suffix.lower() in STEP else parameters.unit
+    mesh, parts, content = _built(path, MILLIMETRES[unit])
     if parameters.centre:
         low, high = mesh.bounds
         middle = (low + high) / 2
@@ -220,4 +223,4 @@ def _corners(parts: list[Part], name: str, kept: NDArray[np.bool_]) -> NDArray[n
 
 
 #: The row of :mod:`slbench.objects.registry`.
-KIND = ArtefactKind(MeshParameters, build_mesh_file, files=("path",))
+KIND = ArtefactKind(MeshParameters, build_mesh_file, files=("path",), groups=face_groups)

@@ -34,6 +34,9 @@ from slbench.objects.surface import Pixels, Surface
 
 #: Of files that are read; other archives are not, whatever is in them.
 SUFFIXES = (".stl", ".ply", ".obj", ".off", ".glb", ".gltf", ".step", ".stp", ".3mf")
+STEP = (".step", ".stp")
+#: How finely the curved faces of STEP files become triangles: sag in mm, and turn in rad.
+FINENESS = {"tol_linear": 1e-3, "tol_angular": 0.1}
 #: Bytes of a file.
 _LARGEST = 2**31
 #: Characters of a part's name.
@@ -137,7 +140,9 @@ class _Beside(trimesh.resolvers.Resolver):  # type: ignore[misc]
 def _loaded(path: Path, content: Content) -> Any:
     """Return trimesh's scene of a file."""
     kind = path.suffix.lower()[1:]
-    more = {"split_objects": True} if kind == "obj" else {}
+    more: dict[str, Any] = {"split_objects": True} if kind == "obj" else {}
+    if f".{kind}" in STEP:
+        more = FINENESS
     beside = _Beside(path, content)
     with path.open("rb") as stream:
         if kind == "gltf":  # its buffers may be files beside it

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from slbench.core.io import provenance
-from slbench.core.show.display import LengthUnit, length_unit
+from slbench.core.show.display import length_unit
 from slbench.core.show.document import Cell, Cloud, Page, Part, Picture, Table, Text
+from slbench.report.pages.features import feature_tables
 from slbench.report.plots.layout import Place, Sheet, cell_height
 from slbench.report.plots.scan import panels
 from slbench.score.fusion import FusionScore
-from slbench.score.points import Score, point_errors
+from slbench.score.points import point_errors
 from slbench.simulate.folder import scan_parameters
 from slbench.simulate.scan import Scan
 
@@ -42,112 +43,6 @@ def scan_page(result: Scan) -> Page:
     parts += _pictures(result)
     title = f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}"
     return Page(title, tuple(parts), provenance(scan_parameters(result), result.run.seed))
-
-
-def feature_tables(score: Score) -> list[Table]:
-    """Return a table of each kind of feature that was found.
-
-    Parameters
-    ----------
-    score : Score
-
-    Returns
-    -------
-    list of Table
-        Steps, planes, spheres, spacings; one unit a column, the one that fits.
-    """
-    steps, planes, spheres, spacings = score.steps, score.planes, score.spheres, score.spacings
-    size = length_unit([s.nominal_mm for s in steps])
-    small = length_unit([(s.deviation_mm, s.uncertainty_mm, s.std_mm) for s in steps])
-    flat = length_unit([(p.flatness_mm, p.std_mm) for p in planes])
-    radius = length_unit([s.nominal_radius_mm for s in spheres])
-    form = length_unit(
-        [(s.radius_uncertainty_mm, s.centre_error_mm, s.form_mm, s.std_mm) for s in spheres]
-    )
-    apart = length_unit([s.nominal_mm for s in spacings])
-    unsure = length_unit([s.uncertainty_mm for s in spacings])
-    tables = [
-        Table(
-            "Steps",
-            (
-                *("object", "step", f"nominal / {size.name}", f"measured / {size.name}"),
-                *(f"{name} / {small.name}" for name in ("error", "uncertainty", "scatter")),
-                "points",
-            ),
-            tuple(
-                (
-                    s.object,
-                    s.name,
-                    size.per_mm * s.nominal_mm,
-                    _measured(s.measured_mm, size),
-                    f"{small.per_mm * s.deviation_mm:+.2f}",
-                    small.per_mm * s.uncertainty_mm,
-                    small.per_mm * s.std_mm,
-                    s.points,
-                )
-                for s in steps
-            ),
-            "Height between least-squares planes; the uncertainty is what scatter leaves (k = 1).",
-        ),
-        Table(
-            "Planes",
-            ("object", "plane", f"flatness / {flat.name}", f"scatter / {flat.name}", "points"),
-            tuple(
-                (p.object, p.name, flat.per_mm * p.flatness_mm, flat.per_mm * p.std_mm, p.points)
-                for p in planes
-            ),
-            "Flatness: range of the residuals, 0.3 % of the points set aside.",
-        ),
-        Table(
-            "Spheres",
-            (
-                *("object", "sphere", f"nominal radius / {radius.name}", f"radius / {radius.name}"),
-                *(
-                    f"{name} / {form.name}"
-                    for name in ("uncertainty", "centre error", "form", "scatter")
-                ),
-                "points",
-            ),
-            tuple(
-                (
-                    s.object,
-                    s.name,
-                    radius.per_mm * s.nominal_radius_mm,
-                    _measured(s.radius_mm, radius),
-                    form.per_mm * s.radius_uncertainty_mm,
-                    form.per_mm * s.centre_error_mm,
-                    form.per_mm * s.form_mm,
-                    form.per_mm * s.std_mm,
-                    s.points,
-                )
-                for s in spheres
-            ),
-            "Form: range of the residuals, 0.3 % of the points set aside.",
-        ),
-        Table(
-            "Spacings",
-            (
-                *("object", "spheres", f"nominal / {apart.name}", f"measured / {apart.name}"),
-                f"uncertainty / {unsure.name}",
-            ),
-            tuple(
-                (
-                    s.object,
-                    s.name,
-                    apart.per_mm * s.nominal_mm,
-                    _measured(s.measured_mm, apart),
-                    unsure.per_mm * s.uncertainty_mm,
-                )
-                for s in spacings
-            ),
-        ),
-    ]
-    return [table for table in tables if table.rows]
-
-
-def _measured(mm: float, unit: LengthUnit) -> str:
-    """Return a measured length to a tenth of a micrometre, or to 10 nm where it is in µm."""
-    return f"{unit.per_mm * mm:.{4 if unit.name == 'mm' else 2}f}"
 
 
 def scan_cloud(result: Scan) -> Cloud:

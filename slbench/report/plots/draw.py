@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +45,11 @@ def draw_image(
 
 
 def object_picture(
-    artefact: Artefact, image: NDArray[np.float64], mm_per_px: float, path: str | Path
+    artefact: Artefact,
+    image: NDArray[np.float64],
+    mm_per_px: float,
+    path: str | Path,
+    labels: Mapping[str, NDArray[np.float64]] | None = None,
 ) -> None:
     """Draw a shaded artefact with its name, size and a scale bar.
 
@@ -56,11 +60,21 @@ def object_picture(
         From :func:`slbench.simulate.render.show.shade`.
     mm_per_px : float
     path : path of the PNG
+    labels : mapping of str to (2,) float, optional
+        Names to write into it, and where, px.
     """
     figure = Figure(figsize=(6.4, 6.9), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots()
     draw_object(axes, artefact, image, mm_per_px)
+    for name, (u, v) in (labels or {}).items():
+        axes.plot([u], [v], "o", color="C3", markersize=4)
+        axes.annotate(
+            *(name, (u, v), (4, 4)),
+            textcoords="offset points",
+            fontsize=8,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "alpha": 0.75, "lw": 0},
+        )
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
 

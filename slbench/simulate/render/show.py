@@ -60,20 +60,8 @@ def shade(
         chosen = dark | own_materials(artefact) | chosen
     item = SceneObject(artefact, Pose(), material or Material(Diffuse(albedo=0.6)), chosen)
     low, high = artefact.mesh.bounds
-    centre, radius = (low + high) / 2.0, float(np.linalg.norm(high - low) / 2.0)
-    toward = np.array(
-        [
-            np.cos(_ELEVATION) * np.cos(_AZIMUTH),
-            np.cos(_ELEVATION) * np.sin(_AZIMUTH),
-            np.sin(_ELEVATION),
-        ]
-    )
-    # Corners of the bounding box, seen along the view, decide the scale.
-    right = np.cross([0.0, 0.0, 1.0], toward)
-    right /= np.linalg.norm(right)
-    up = np.cross(toward, right)
-    corners = box_corners(low, high) - centre
-    half = 1.08 * float(max(np.abs(corners @ right).max(), np.abs(corners @ up).max()))
+    radius = float(np.linalg.norm(high - low) / 2.0)
+    centre, (right, up, toward), half = _view(artefact)
     view = mi.ScalarTransform4f().look_at(
         origin=(centre + toward * 4.0 * radius).tolist(), target=centre.tolist(), up=[0, 0, 1]
     )
@@ -103,3 +91,30 @@ def shade(
     light, alpha = rendered[..., 0].astype(np.float64), rendered[..., 1].astype(np.float64)
     image = np.clip(light, 0.0, 1.0) ** (1.0 / 2.2)
     return image * alpha + _BACKGROUND * (1.0 - alpha), 2.0 * half / size_px
+
+
+def places(artefact: Artefact, points: NDArray[np.float64], size_px: int) -> NDArray[np.float64]:
+    """Return where points (k, 3), object frame, are in the picture of :func:`shade`, (k, 2) px."""
+    centre, (right, up, _), half = _view(artefact)
+    across = np.stack(((points - centre) @ right, (points - centre) @ up), axis=-1)
+    return np.asarray(0.5 * size_px * (1.0 + across / half * [1.0, -1.0]) - 0.5)
+
+
+def _view(artefact: Artefact) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Return the middle of the view (3,), its axes to the right, up and nearer (3, 3), and half."""
+    low, high = artefact.mesh.bounds
+    centre = (low + high) / 2.0
+    toward = np.array(
+        [
+            np.cos(_ELEVATION) * np.cos(_AZIMUTH),
+            np.cos(_ELEVATION) * np.sin(_AZIMUTH),
+            np.sin(_ELEVATION),
+        ]
+    )
+    right = np.cross([0.0, 0.0, 1.0], toward)
+    right /= np.linalg.norm(right)
+    up = np.cross(toward, right)
+    # Corners of the bounding box, seen along the view, decide the scale.
+    corners = box_corners(low, high) - centre
+    half = 1.08 * float(max(np.abs(corners @ right).max(), np.abs(corners @ up).max()))
+    return centre, np.stack((right, up, toward)), half

@@ -193,7 +193,7 @@ class TestQuantities:
 
     def test_magnitudes_are_called_errors(self):
         for kind, names in FEATURE_FIELDS.items():
-            assert ("error_mm" in names) == (kind in ("step", "spacing"))
+            assert ("error_mm" in names) == (kind in ("step", "spacing", "dimension"))
 
 
 class TestChecking:

@@ -1,0 +1,1 @@
+"""Features and dimensions that an artefact's file declares on its mesh, whatever the part."""
