@@ -308,6 +308,78 @@ class LightTransport:
         for first in range(0, n_frames, step):
             yield slice(first, min(first + step, n_frames))
 
+    @classmethod
+    def from_entries(
+        cls,
+        rows: ArrayLike,
+        columns: ArrayLike,
+        values: ArrayLike,
+        shape: tuple[int, int],
+        panel: tuple[int, int],
+        ambient: ArrayLike | None = None,
+    ) -> LightTransport:
+        """Return light transport from the entries of its full matrix, another program's for one.
+
+        Parameters
+        ----------
+        rows, columns : (n,) int
+            Camera pixel ``v * U + u`` and panel pixel ``v * W + u`` of each entry, in any order;
+            of entries at one place the sum counts.
+        values : (n,) float
+            Radiance under that panel pixel at 1.
+        shape : (int, int)
+            Of the camera's image, (V, U).
+        panel : (int, int)
+            Width and height of the panel, px.
+        ambient : (V, U) float, optional
+            Radiance with the panel dark; none by default.
+
+        Returns
+        -------
+        LightTransport
+            With ``"u"``, ``"v"`` and ``"uv"``; its number of samples is 0, as not known.
+
+        Raises
+        ------
+        InputError
+            If entries do not fit the image and the panel, or values are not finite.
+        """
+        import scipy.sparse  # a scan does without
+
+        (height, width), (panel_width, panel_height) = shape, panel
+        places = [np.asarray(rows), np.asarray(columns)]
+        weights = np.asarray(values, dtype=np.float64)
+        sizes = (height * width, panel_width * panel_height)
+        if any(one.shape != weights.shape or one.ndim != 1 for one in places):
+            got = ", ".join(str(one.shape) for one in (*places, weights))
+            raise InputError("light transport entries", "three arrays of one length", got)
+        for name, one, size in zip(("rows", "columns"), places, sizes, strict=True):
+            if one.size and not (one.dtype.kind in "iu" and 0 <= one.min() <= one.max() < size):
+                got = f"{one.min()} to {one.max()}, {one.dtype}"
+                raise InputError(f"light transport {name}", f"pixels from 0 to {size - 1}", got)
+        if not np.all(np.isfinite(weights)):
+            raise InputError("light transport values", "finite numbers", "others")
+        dark = np.zeros(shape) if ambient is None else np.asarray(ambient)
+        if dark.shape != tuple(shape):
+            raise InputError("ambient", f"shape {tuple(shape)}", dark.shape)
+        columns_of: dict[Marginal, tuple[NDArray[Any], int]] = {
+            "u": (places[1] % panel_width, panel_width),
+            "v": (places[1] // panel_width, panel_height),
+            "uv": (places[1], sizes[1]),
+        }
+        marginals: dict[Marginal, SparseRows] = {}
+        for along, (where, count) in columns_of.items():
+            entries = (weights, (places[0].astype(np.int64), where.astype(np.int64)))
+            matrix = scipy.sparse.coo_array(entries, shape=(sizes[0], count)).tocsr()
+            matrix.sort_indices()
+            marginals[along] = SparseRows(
+                row_starts(np.diff(matrix.indptr)),
+                matrix.indices.astype(np.uint16 if count <= 1 << 16 else np.uint32),
+                matrix.data.astype(np.float32),
+                count,
+            )
+        return cls(marginals, dark.astype(np.float32), (panel_width, panel_height), 0)
+
     def save(self, path: str | Path) -> None:
         """Write as ``.npz`` without pickles."""
         arrays: dict[str, np.ndarray] = {

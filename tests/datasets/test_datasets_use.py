@@ -22,8 +22,10 @@ def test_the_snippets_run_one_after_the_other(tmp_path, monkeypatch):
     pytest.importorskip("torch", reason="PyTorch (the extra `torch`) is not installed")
     small.write_dataset(tmp_path / "data")
     monkeypatch.chdir(tmp_path)
-    # Those without slbench are run by the tests of other loaders.
-    page = re.sub(r"^## Without slbench$.*?^(?=## )", "", PAGE.read_text(), flags=re.M | re.S)
+    # Those of other loaders and layouts are run by the tests of these.
+    page = re.sub(
+        r"^## (Without slbench|Other layouts)$.*?^(?=## )", "", PAGE.read_text(), flags=re.M | re.S
+    )
     snippets = re.findall(r"^```python\n(.*?)^```", page, re.M | re.S)
     assert len(snippets) == 5
     scope = {}

@@ -24,6 +24,7 @@ from slbench.datasets.read.recipe import Recipe
 from slbench.rig import Lens
 from slbench.rig.opencv import read_rig
 from slbench.scene.truth import GroundTruth
+from slbench.simulate.scan import scan
 
 RECIPE = Recipe("1,10", seed=3)
 
@@ -263,6 +264,40 @@ def nearest(origin, directions, triangles):
     return best
 
 
+def check_projection(folder, place, files, image, covered=True):
+    """Cast rays onto the models as they are placed; `covered` is what the sensor sees."""
+    camera = files["camera"][image]
+    matrix = np.reshape(camera["cam_K"], (3, 3))
+    depth = read(place / f"depth/{int(image):06d}.png") * camera["depth_scale"]
+    v, u = np.indices(depth.shape)
+    rays = np.stack((u, v, np.ones_like(u)), axis=-1).reshape(-1, 3)
+    rays = rays @ np.linalg.inv(matrix).T
+    alone = []
+    for pose in files["gt"][image]:
+        model = trimesh.load(folder / f"models/obj_{pose['obj_id']:06d}.ply", process=False)
+        turn = np.reshape(pose["cam_R_m2c"], (3, 3))
+        points = model.vertices @ turn.T + pose["cam_t_m2c"]
+        # The rays' z is 1, so distance along them is depth.
+        alone.append(nearest(np.zeros(3), rays, points[model.faces]))
+    alone = np.reshape(alone, (-1, *depth.shape))
+    visible = np.zeros(depth.shape, bool)
+    for number, own in enumerate(alone):
+        name = f"{int(image):06d}_{number:06d}.png"
+        seen = covered & np.isfinite(own) & (own == alone.min(axis=0))
+        mask, visib = read(place / "mask" / name) > 0, read(place / "mask_visib" / name) > 0
+        # Models are in single precision: a pixel whose ray grazes an edge may differ.
+        assert np.count_nonzero(mask != np.isfinite(own)) <= 2
+        assert np.count_nonzero(visib != seen) <= 2
+        both = visib & seen
+        assert both.sum() > 20
+        error = np.abs(depth[both] - own[both])
+        # Half a step of the 16-bit picture; grazed edges as above.
+        limit = camera["depth_scale"] / 2 + 1e-3
+        assert np.count_nonzero(error > limit) <= 2
+        visible |= visib
+    np.testing.assert_array_equal(depth > 0, visible)
+
+
 class TestBop:
     def test_layout(self, bop_out, bop_scene):
         place, files = bop_scene
@@ -277,40 +312,8 @@ class TestBop:
         assert models == [f"obj_{n:06d}.ply" for n in range(1, 5)]
 
     def test_models_project_onto_masks_and_depth(self, bop_out, bop_scene):
-        place, files = bop_scene
         for image in ("0", "1"):
-            camera = files["camera"][image]
-            matrix = np.reshape(camera["cam_K"], (3, 3))
-            depth = read(place / f"depth/{int(image):06d}.png") * camera["depth_scale"]
-            v, u = np.indices(depth.shape)
-            rays = np.stack((u, v, np.ones_like(u)), axis=-1).reshape(-1, 3)
-            rays = rays @ np.linalg.inv(matrix).T
-            alone = []
-            for pose in files["gt"][image]:
-                model = trimesh.load(
-                    bop_out / f"models/obj_{pose['obj_id']:06d}.ply", process=False
-                )
-                turn = np.reshape(pose["cam_R_m2c"], (3, 3))
-                points = model.vertices @ turn.T + pose["cam_t_m2c"]
-                # The rays' z is 1, so distance along them is depth.
-                alone.append(nearest(np.zeros(3), rays, points[model.faces]))
-            alone = np.reshape(alone, (-1, *depth.shape))
-            visible = np.zeros(depth.shape, bool)
-            for number, own in enumerate(alone):
-                name = f"{int(image):06d}_{number:06d}.png"
-                seen = np.isfinite(own) & (own == alone.min(axis=0))
-                mask, visib = read(place / "mask" / name) > 0, read(place / "mask_visib" / name) > 0
-                # Models are in single precision: a pixel whose ray grazes an edge may differ.
-                assert np.count_nonzero(mask != np.isfinite(own)) <= 2
-                assert np.count_nonzero(visib != seen) <= 2
-                both = visib & seen
-                assert both.sum() > 20
-                error = np.abs(depth[both] - own[both])
-                # Half a step of the 16-bit picture; grazed edges as above.
-                limit = camera["depth_scale"] / 2 + 1e-3
-                assert np.count_nonzero(error > limit) <= 2
-                visible |= visib
-            np.testing.assert_array_equal(depth > 0, visible)
+            check_projection(bop_out, *bop_scene, image)
 
     def test_counts_and_boxes(self, bop_scene):
         place, files = bop_scene
@@ -381,15 +384,96 @@ class TestBop:
             for frame, file in zip(frames, entry["frames"], strict=True):
                 np.testing.assert_array_equal(read(place / file), frame)
 
-    def test_other_lenses_are_refused(self, data, tmp_path):
+    def test_telecentric_lenses_are_refused(self, data, tmp_path):
         item = data[0]
-        rig = item.rig
-        bent = rig.having(camera=replace(rig.camera, distortion=(0.1, 0, 0, 0, 0)))
-        item.__dict__["rig"] = bent
-
-        with pytest.raises(InputError, match="distortion"):
+        lens = Lens.telecentric(0.1, 0.01, 300.0)
+        item.__dict__["rig"] = item.rig.having(camera=replace(item.rig.camera, lens=lens))
+        with pytest.raises(InputError, match="for BOP a perspective camera"):
             export(_only(data, [item]), tmp_path / "x", "bop", RECIPE)
         assert list(tmp_path.iterdir()) == []
+
+
+#: At half the way from the middle of the picture to its corner.
+DISTORTION = (0.8, 0.0, 0.01, -0.01, 0.0)
+
+
+@pytest.fixture(scope="module")
+def bent():
+    """A sample's number and scan, seen through a lens that moves corners by many pixels."""
+    scene = small.result_of(1).scene
+    camera = scene.rig.camera
+    # Of so long a lens, whose corners are at 0.03 of the focal length, coefficients are large.
+    scale = 2.0 / np.hypot(*camera.matrix[:2, 2] / np.diag(camera.matrix)[:2])
+    strong = np.array(DISTORTION) * [scale**2, scale**4, scale, scale, 1.0]
+    rig = scene.rig.having(camera=replace(camera, distortion=tuple(strong), tilt_rad=(0.02, -0.03)))
+    return scan(replace(scene, rig=rig), seed=small.seed_of(1))
+
+
+class TestUndistorted:
+    @pytest.fixture
+    def exported(self, bent, data, tmp_path):
+        item = data[1]
+        new = {"rig": bent.scene.rig, "truth": bent.truth, "transport": bent.transport}
+        item.__dict__.update(new, scene=bent.scene, _settings=bent.scene)
+        recipe = Recipe("1,8@4", noise=False)
+        export(_only(data, [item]), tmp_path / "bop", "bop", recipe)
+        place = tmp_path / "bop" / "train" / "000000"
+        files = {
+            name: json.loads((place / f"scene_{name}.json").read_text())
+            for name in ("camera", "gt", "projector")
+        }
+        return tmp_path / "bop", place, files, recipe.shots(item)
+
+    @staticmethod
+    def on_sensor(camera):
+        """Where the pinhole's pixels stand on the sensor, by the rig's own projection."""
+        v, u = np.indices((camera.height, camera.width))
+        rays = np.stack((u, v, np.ones_like(u)), axis=-1) @ np.linalg.inv(camera.matrix).T
+        return camera.project(camera.pose.to_world(rays.reshape(-1, 3))).reshape(*u.shape, 2)
+
+    def test_the_lens_does_bend(self, bent):
+        camera = bent.scene.rig.camera
+        v, u = np.indices((camera.height, camera.width))
+        moved = np.linalg.norm(self.on_sensor(camera) - np.stack((u, v), axis=-1), axis=-1)
+        assert moved.max() > 3.0
+
+    def test_models_project_onto_masks_and_depth(self, exported, bent):
+        folder, place, files, _ = exported
+        camera = bent.scene.rig.camera
+        seen = self.on_sensor(camera)
+        inside = (seen >= 0) & (seen <= [camera.width - 1, camera.height - 1])
+        check_projection(folder, place, files, "0", inside.all(axis=-1))
+
+    def test_fringes_are_where_the_depth_says(self, exported, bent):
+        """Decode the undistorted frames and compare with the points that depth stands for."""
+        _, place, files, shots = exported
+        entry, camera = files["projector"]["0"], files["camera"]["0"]
+        depth = read(place / "depth/000000.png") * camera["depth_scale"]
+        v, u = np.nonzero(depth)
+        rays = np.stack((u, v, np.ones_like(u)), axis=-1)
+        rays = rays @ np.linalg.inv(np.reshape(camera["cam_K"], (3, 3))).T
+        wanted, _ = cv2.projectPoints(
+            rays * depth[v, u][:, None],
+            np.reshape(entry["R_c2p"], (3, 3)),
+            np.array(entry["t_c2p"]),
+            np.reshape(entry["proj_K"], (3, 3)),
+            np.array(entry["proj_dist"]),
+        )
+        straight = np.array([read(place / file) for file in entry["frames"]])
+        errors = {}
+        for name, frames in (("undistorted", straight), ("as seen", shots.frames)):
+            phase = replace(shots, frames=frames).decode()
+            error = np.abs(phase.coordinate["u"][v, u] - wanted[:, 0, 0])[phase.mask[v, u]]
+            assert error.size > 100
+            errors[name] = np.median(error)
+        # A camera pixel sees 6.8 panel pixels: interpolation between pixels is good to a twentieth
+        # of one; half the way to the object's edge the lens moves the picture by half a pixel.
+        assert errors["undistorted"] < 0.34
+        assert errors["as seen"] > 3.4
+
+    def test_what_was_taken_out_is_told(self, exported, bent):
+        told = exported[2]["projector"]["0"]["camera_dist"]
+        np.testing.assert_allclose(told, bent.scene.rig.camera.opencv_distortion)
 
 
 class TestGeometry:

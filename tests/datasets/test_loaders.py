@@ -4,7 +4,6 @@ The loaders are an extra (``loaders``); what is not installed is skipped.
 """
 
 import importlib
-import importlib.metadata
 import io
 import json
 import re
@@ -19,6 +18,7 @@ import pytest
 import trimesh
 import yaml
 from dataset_specs import rows_of, write_spec
+from outside_loaders import loader
 
 from slbench.core.errors import InputError
 from slbench.datasets.croissant import write_croissant
@@ -33,15 +33,6 @@ from slbench.report.pages.dataset import front_matter, write_card
 COUNT = 6
 #: As Hugging Face datasets 5.2 looks at, to know the members of all.
 FIRST = 5
-
-
-def loader(name):
-    """Import a loader, or skip.  A folder of its name must not be taken for it."""
-    try:
-        importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        pytest.skip(f"{name} is not installed (extra loaders)")
-    return importlib.import_module(name)
 
 
 @pytest.fixture(scope="module")

@@ -31,7 +31,12 @@ def export(
     dataset: DatasetName,
     out: Annotated[Path, typer.Option(help="Folder, or .h5 file, to write; must not exist.")],
     form: Annotated[
-        str, typer.Option("--format", help="frames, hdf5, bop, or one that was added.")
+        str,
+        typer.Option(
+            "--format",
+            help="frames, hdf5, bop, coco, clouds, fringe-depth, light-transport, "
+            "or one that was added.",
+        ),
     ] = "frames",
     where: Annotated[
         str | None,
@@ -57,7 +62,7 @@ def export(
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
-    """Write a data set, or a part of it, as pictures, HDF5 or BOP."""
+    """Write a data set, or a part of it, in a layout that others read."""
     from slbench import datasets
     from slbench.datasets.export.formats import EXPORT_FOLDER, check_target
     from slbench.datasets.export.formats import export as write

@@ -1,1 +1,1 @@
-"""Data sets in other formats: frames, HDF5, BOP."""
+"""Data sets in the layouts of others: pictures, arrays, masks, clouds, light transport."""

@@ -22,8 +22,13 @@ do not see::
     OUT/train/000000/frames/000000_000.png   the pattern frames, in order
 
 ``mask`` is the object's silhouette with nothing before it, ``mask_visib`` what the camera
-sees of it, from the ground truth's object ids (the toolkit estimates it from depth).  BOP's
-camera is a pinhole: other lenses are refused.
+sees of it, from the ground truth's object ids (the toolkit estimates it from depth).
+
+BOP's camera is a pinhole.  Where a lens distorts or the sensor is tilted, pictures are undistorted
+onto the pinhole of ``cam_K`` (``cv2.initUndistortRectifyMap``, linear interpolation), and depth and
+masks are those of the meshes seen by that pinhole; what the sensor does not see is 0 in all of
+them.  ``camera_dist`` of the extension tells the coefficients that were taken out.  Telecentric
+lenses are refused.
 """
 
 from __future__ import annotations
@@ -108,7 +113,7 @@ def write_bop(data: Dataset, recipe: Recipe, folder: Path) -> Iterator[int]:
     Raises
     ------
     InputError
-        For a camera that is not a pinhole.
+        For a telecentric camera.
     """
     models = _Models(folder / "models")
     write_index(folder / "index.csv", data)
@@ -133,20 +138,18 @@ def _write_image(
 ) -> dict[str, Any]:
     """Write one sample's pictures and return its entries of the scene's files."""
     camera, projector = item.rig.camera, item.rig.projector
-    if camera.lens.kind != "perspective" or any(camera.distortion) or any(camera.tilt_rad):
-        got = f"{camera.lens.kind}, distortion {camera.distortion}, tilt {camera.tilt_rad} rad"
-        expected = "for BOP a perspective camera without distortion or sensor tilt"
-        raise InputError(item.where, expected, got)
-    name, truth = f"{image:06d}", item.truth
+    if camera.lens.kind != "perspective":
+        raise InputError(item.where, "for BOP a perspective camera", camera.lens.kind)
+    name, view = f"{image:06d}", _view(item)
     shots = recipe.shots(item)
     # With noise of its own: another epoch than the frames'.
     lit = item.capture("white", recipe.detector, recipe.seed_of(item, epoch=1), recipe.noise)
-    write_png(scene / "gray" / f"{name}.png", lit.frames[0])
+    write_png(scene / "gray" / f"{name}.png", view.picture(lit.frames[0]))
     frames = [f"frames/{name}_{k:03d}.png" for k in range(len(shots.frames))]
     for file, frame in zip(frames, shots.frames, strict=True):
-        write_png(scene / file, frame)
-    scale = depth_scale(truth.depth)
-    depth = scaled_depth(truth.depth, scale)
+        write_png(scene / file, view.picture(frame))
+    scale = depth_scale(view.depth)
+    depth = scaled_depth(view.depth, scale)
     write_png(scene / "depth" / f"{name}.png", depth)
 
     poses, information = [], []
@@ -155,14 +158,14 @@ def _write_image(
         rotation = camera.pose.rotation.T @ placed.pose.rotation
         translation = camera.pose.to_local(placed.pose.to_world(origin))
         poses.append({"cam_R_m2c": rotation.ravel(), "cam_t_m2c": translation, "obj_id": model})
-        whole = silhouette(placed, camera)
-        visible = truth.object_id == number
+        whole = silhouette(placed, camera) > 0
+        visible = view.object_id == number
         height, width = visible.shape
-        inside = whole[height : 2 * height, width : 2 * width] | visible
+        inside = _middle(whole) | visible
         for kind, mask in (("mask", inside), ("mask_visib", visible)):
             picture = np.where(mask, 255, 0).astype(np.uint8)
             write_png(scene / kind / f"{name}_{number:06d}.png", picture)
-        whole[height : 2 * height, width : 2 * width] = inside
+        _middle(whole)[:] = inside
         seen, total = int(visible.sum()), int(whole.sum())
         information.append(
             {
@@ -193,6 +196,7 @@ def _write_image(
             "patterns": shots.sequence.to_dict(),
             "frames": frames,
             "sample": item.number,
+            "camera_dist": camera.opencv_distortion if view.maps else [],
         },
     }
 
@@ -210,22 +214,71 @@ def _sensor(camera: Camera, entry: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def silhouette(placed: SceneObject, camera: Camera) -> NDArray[np.bool_]:
-    """Return the pixels of an object alone on a canvas of three images' width and height.
+@dataclass(frozen=True)
+class _View:
+    """What a pinhole camera sees of a sample.
+
+    Parameters
+    ----------
+    depth : (V, U) float
+        mm; NaN where no surface is.
+    object_id : (V, U) int
+        Negative where none is.
+    maps : tuple of two (V, U) float32
+        Where pixels stand in the sensor's picture, ``u`` and ``v``; none where in the same place.
+    """
+
+    depth: NDArray[np.float64]
+    object_id: NDArray[np.signedinteger]
+    maps: tuple[NDArray[np.float32], ...] = ()
+
+    def picture(self, frame: NDArray[Any]) -> NDArray[Any]:
+        """Return a frame of the sensor as the pinhole sees it."""
+        return cv2.remap(frame, *self.maps, cv2.INTER_LINEAR) if self.maps else frame
+
+
+def _view(item: Sample) -> _View:
+    """Return what the pinhole of a sample's camera sees, its lens undone."""
+    camera, truth = item.rig.camera, item.truth
+    if not any(camera.distortion) and not any(camera.tilt_rad):
+        return _View(truth.depth, truth.object_id)
+    size, matrix = (camera.width, camera.height), camera.matrix
+    given = (matrix, camera.opencv_distortion, np.eye(3), matrix, size, cv2.CV_32FC1)
+    maps = tuple(cv2.initUndistortRectifyMap(*given))
+    sensor = (maps[0] >= 0.0) & (maps[0] <= size[0] - 1.0)
+    sensor &= (maps[1] >= 0.0) & (maps[1] <= size[1] - 1.0)
+    depth = np.full(sensor.shape, np.inf)
+    object_id = np.full(sensor.shape, -1)
+    for number, placed in enumerate(item.scene.objects):
+        own = _middle(silhouette(placed, camera))
+        nearer = sensor & (own > 0) & (own < depth)
+        depth[nearer], object_id[nearer] = own[nearer], number
+    return _View(np.where(object_id < 0, np.nan, depth), object_id, maps)
+
+
+def _middle(canvas: NDArray[Any]) -> NDArray[Any]:
+    """Return the image in the middle of a canvas of :func:`silhouette`."""
+    height, width = canvas.shape[0] // 3, canvas.shape[1] // 3
+    return canvas[height : 2 * height, width : 2 * width]
+
+
+def silhouette(placed: SceneObject, camera: Camera) -> NDArray[np.float64]:
+    """Return the depth of an object alone on a canvas of three images' width and height.
 
     BOP counts the part of a silhouette beyond the image too, on a canvas of that size with
     the image in the middle.
 
     Returns
     -------
-    (3 V, 3 U) bool
+    (3 V, 3 U) float
+        mm; 0 where the object is not.
     """
     width, height = camera.width, camera.height
     matrix = camera.matrix
     matrix[:2, 2] += width, height
     mesh = placed.artefact.mesh
     points = camera.pose.to_local(placed.pose.to_world(mesh.vertices))
-    return depth_of_mesh(points, mesh.faces, matrix, (3 * width, 3 * height)) > 0
+    return depth_of_mesh(points, mesh.faces, matrix, (3 * width, 3 * height))
 
 
 def box(mask: NDArray[np.bool_], corner: tuple[int, int] = (0, 0)) -> list[int]:

@@ -1,4 +1,4 @@
-"""Other layouts of a data set: folders of pictures, HDF5, BOP, and those that were added.
+"""Other layouts of a data set, by name: those of this package, and those that were added.
 
 A sample at a time goes from its shard into the new files, so memory and temporary disk stay
 those of one sample; what is written appears under its name when it is complete.
@@ -51,8 +51,9 @@ def export(
     out : str or Path
         A folder, or for HDF5 a file, that does not exist.
     form : str
-        ``"frames"``, ``"hdf5"``, ``"bop"`` (see the modules of this package), or one that was
-        added.
+        One of :data:`~slbench.datasets.export.registry.exporters`: ``"frames"``, ``"hdf5"``,
+        ``"bop"``, ``"coco"``, ``"clouds"``, ``"fringe-depth"``, ``"light-transport"`` (see the
+        modules of this package), or one that was added.
     recipe : Recipe, optional
         Patterns and noise; the first stored capture of each sample by default.
     on_progress : callable, optional

@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.io import write_json, write_png
 from slbench.datasets.export.registry import Exporter
@@ -97,6 +98,12 @@ def depth_scale(depth: NDArray[np.float64]) -> float:
 def scaled_depth(depth: NDArray[np.float64], scale: float) -> NDArray[np.uint16]:
     """Return depth (V, U) in millimetres as 16-bit numbers of `scale`, 0 for none."""
     return np.rint(np.nan_to_num(depth) / scale).astype(np.uint16)
+
+
+def eight_bit(shots: Capture) -> NDArray[np.uint8]:
+    """Return frames (N, V, U) of 8 bits, for readers that know no others: the leading ones."""
+    shift = max(0, (shots.bit_depth or 8) - 8)
+    return (shots.frames >> shift).astype(np.uint8)
 
 
 #: The row of :mod:`slbench.datasets.export.registry`.

@@ -38,6 +38,10 @@ exporters: Registry[Exporter] = Registry(
         "frames": "slbench.datasets.export.frames:EXPORTER",
         "hdf5": "slbench.datasets.export.hdf5:EXPORTER",
         "bop": "slbench.datasets.export.bop:EXPORTER",
+        "coco": "slbench.datasets.export.coco:EXPORTER",
+        "clouds": "slbench.datasets.export.clouds:EXPORTER",
+        "fringe-depth": "slbench.datasets.export.fringe_depth:EXPORTER",
+        "light-transport": "slbench.datasets.export.light_transport:EXPORTER",
     },
     base="slbench.datasets.export.registry:Exporter",
 )
