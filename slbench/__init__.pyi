@@ -19,6 +19,7 @@ from . import scene as scene
 from . import score as score
 from . import simulate as simulate
 from . import twin as twin
+from .bench.accept.acceptance import accept as accept
 from .bench.budget.budget import Budget as Budget
 from .bench.budget.budget import error_budget as error_budget
 from .bench.claims.check import check as check

@@ -115,6 +115,7 @@ def values(tmp_path_factory):
         sl.error_budget(scene, repeats=2),
         *uncertain(scene),
         sl.bench.cloud_terms([sl.cloud.MeasuredCloud(flat_cloud())], patch_mm=10.0),
+        *accepted(),
         sl.diagnose_cloud(flat_cloud()),
         sl.score_cloud(flat_cloud_on_plane(), artefact="plane"),
         sl.cloud.MeasuredCloud(flat_cloud(), scalars={"sigma": np.full(1200, 0.01)}),
@@ -134,6 +135,17 @@ def uncertain(scene):
     faces = (one for one in sl.bench.claims.quantities.features_of(scene) if one.kind == "plane")
     name = f"plane[{next(faces).label}].std_mm"
     yield sl.bench.uncertainty_budget(scene, [name], draws=100)
+
+
+def accepted():
+    """Return a plate's certificate, a limit, and its acceptance."""
+    from slbench.bench.accept.acceptance import assembled
+    from slbench.bench.accept.evaluate import Place, measured_place
+    from slbench.bench.accept.surfaces import Points
+
+    plate, limit = sl.bench.Standard("plane", size_mm=(40.0, 30.0)), sl.bench.Limit(50.0, 20.0)
+    place = measured_place(Place("plane 1", plate), [[Points(flat_cloud())]])
+    return plate, limit, assembled("flat", [place], limits={"flatness": limit})
 
 
 def flat_cloud():

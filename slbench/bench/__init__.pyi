@@ -1,6 +1,11 @@
 """The public names of :mod:`slbench.bench` and where they are defined."""
 
 from . import claims as claims
+from .accept.acceptance import Acceptance as Acceptance
+from .accept.acceptance import planned as planned
+from .accept.folder import accept_folder as accept_folder
+from .accept.standards import Standard as Standard
+from .accept.verdict import Limit as Limit
 from .budget.inputs import read_budget as read_budget
 from .budget.uncertainty import UncertaintyBudget as UncertaintyBudget
 from .budget.uncertainty import uncertainty_budget as uncertainty_budget

@@ -43,6 +43,7 @@ SECTIONS = {
         "score": "slbench.cli.score:score",
         "compare": "slbench.cli.compare:compare",
         "check": "slbench.cli.check:check",
+        "accept": "slbench.cli.accept:accept",
         "sweep": "slbench.cli.sweep:sweep",
         "budget": "slbench.cli.budget:budget",
         "terms": "slbench.cli.terms:terms",

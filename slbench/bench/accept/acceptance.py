@@ -8,20 +8,21 @@ from typing import Any, Literal
 
 import numpy as np
 
-from slbench.bench.accept.definitions import STANDARDS, TESTS, StandardKind
+from slbench.bench.accept.definitions import STANDARDS, StandardKind
 from slbench.bench.accept.evaluate import Measured, Place, PlaceError
 from slbench.bench.accept.plan import plan, with_views
 from slbench.bench.accept.signatures import Explanation, alike, calibration_draws, explain
 from slbench.bench.accept.standards import Standard, usual_standard
 from slbench.bench.accept.verdict import (
-    GUARD,
     Limit,
     Outcome,
     Tested,
+    Worse,
     judged_tests,
     overall,
 )
 from slbench.cloud.triangulation import Axis
+from slbench.core.errors import warn_user
 from slbench.core.random import tagged_seed
 from slbench.core.show.display import block
 from slbench.core.show.document import Table
@@ -34,6 +35,8 @@ from slbench.simulate.lights import Lights
 Progress = Callable[[str, float], None]
 Register = Literal["poses", "spheres"]
 _UM = 1e3
+#: Share of a size's variance that more samples would take away, beyond which it is said.
+_MOST_BY_SAMPLES = 0.5
 
 NOTE = (
     "u: standard uncertainty of the test (certificate, temperature, fit, sampling). Pass and fail "
@@ -62,6 +65,8 @@ class Acceptance:
     traces : int
         How often light was traced.
     seed : int
+    worse : tuple of Worse
+        Tests that are worse than an earlier acceptance holds the instrument to.
     parameters : mapping
         For the provenance.
     """
@@ -74,6 +79,7 @@ class Acceptance:
     rig: Rig | None = None
     traces: int = 0
     seed: int = 0
+    worse: tuple[Worse, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Tested:
@@ -82,7 +88,9 @@ class Acceptance:
 
     @property
     def outcome(self) -> Outcome:
-        """Fail if one test fails, else undecided if one is, else pass."""
+        """Fail if one test fails or is worse than it was, else undecided if one is, else pass."""
+        if self.worse:
+            return "fail"
         return overall([one.outcome for one in self.tests])
 
     @property
@@ -105,8 +113,7 @@ class Acceptance:
             limit = None if worst.limit_mm is None else _UM * worst.limit_mm
             rows.append(
                 (
-                    one.test.words,
-                    one.test.label(self.views),
+                    f"{one.test.symbol} {one.test.words}".strip(),
                     len(one.judged),
                     worst.value.place,
                     _UM * worst.value.error_mm,
@@ -115,10 +122,8 @@ class Acceptance:
                     one.outcome,
                 )
             )
-        columns = ("test", "symbols", "places", "worst place", "error / µm", "u / µm")
-        return Table(
-            f"Acceptance of {self.name}", (*columns, "limit / µm", "verdict"), tuple(rows), NOTE
-        )
+        columns = ("test", "places", "worst", "error / µm", "u / µm", "limit / µm", "verdict")
+        return Table(f"Acceptance of {self.name}", columns, tuple(rows), NOTE)
 
     def why(self) -> str:
         """Say which parameter of the rig explains the errors best; empty where none is asked."""
@@ -144,6 +149,7 @@ class Acceptance:
             "seed": self.seed,
             "tests": [_plain(one, self.views) for one in self.tests],
             "explanations": [vars(one) for one in self.explanations],
+            "worse": [vars(one) for one in self.worse],
             "note": NOTE,
         }
 
@@ -257,6 +263,11 @@ def accept(
         If Mitsuba cannot run here.
     InputError
         If places are not seen, or too little of a standard was measured.
+
+    Warns
+    -----
+    InputWarning
+        If the renderer's samples make most of the uncertainty of a size.
     """
     from slbench.bench.accept.virtual import light_of, measure
 
@@ -279,7 +290,7 @@ def accept(
             measure(stored, seed=tagged_seed(seed, k), noise=noise, rig=rig, register=register)
         )
         progress(1.0)
-    return assembled(
+    found = assembled(
         scene.name,
         measured,
         limits=limits,
@@ -290,6 +301,22 @@ def accept(
         seed=seed,
         parameters={"scene": scene.specification, "patterns": scene.sequence.to_dict()},
     )
+    if doubt := _samples_doubt(found):
+        warn_user(f"scene {scene.name}", doubt)
+    return found
+
+
+def _samples_doubt(found: Acceptance) -> str | None:
+    """Say where the renderer's samples make most of a test's uncertainty; None where nowhere."""
+    for one in found.tests:
+        value = one.worst.value
+        sampling = value.u_mm["sampling"]
+        if one.test.signed and sampling**2 > _MOST_BY_SAMPLES * value.u_test_mm**2:
+            return (
+                f"sampling makes {_UM * sampling:.3g} of the {_UM * value.u_test_mm:.3g} µm "
+                f"uncertainty of {one.test.words}: more samples would change it (--spp)"
+            )
+    return None
 
 
 def assembled(
@@ -351,6 +378,3 @@ def with_sampling(values: Sequence[PlaceError]) -> list[PlaceError]:
         for name in {value.test for value in values}
     }
     return [replace(v, u_mm={**v.u_mm, "sampling": pooled[v.test]}) for v in values]
-
-
-__all__ = ["GUARD", "TESTS", "Acceptance", "accept", "assembled", "planned", "with_sampling"]

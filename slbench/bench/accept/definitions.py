@@ -71,17 +71,13 @@ class ErrorKind:
 
 
 _TESTS = (
-    ErrorKind("probing_form", "probing error, form", "PF", "", "sphere", False),
-    ErrorKind(
-        "probing_dispersion", "probing dispersion, 95 %", "", "PForm.Sph.D95%", "sphere", False
-    ),
-    ErrorKind("probing_size", "probing error, size", "PS", "PSize.Sph.All", "sphere", True),
-    ErrorKind("sphere_spacing", "sphere-spacing error", "SD", "DCC", "ball_bar", True),
-    ErrorKind("length", "length error, bidirectional", "E", "EBi", "ball_bar", True),
-    ErrorKind("flatness", "flatness error", "F", "", "plane", False),
-    ErrorKind(
-        "flat_dispersion", "flat-form distortion, 95 %", "", "DForm.Pla.D95%", "plane", False
-    ),
+    ErrorKind("probing_form", "probing form", "PF", "", "sphere", False),
+    ErrorKind("probing_dispersion", "probing dispersion", "", "PForm.Sph.D95%", "sphere", False),
+    ErrorKind("probing_size", "probing size", "PS", "PSize.Sph.All", "sphere", True),
+    ErrorKind("sphere_spacing", "sphere spacing", "SD", "DCC", "ball_bar", True),
+    ErrorKind("length", "length, bidirectional", "E", "EBi", "ball_bar", True),
+    ErrorKind("flatness", "flatness", "F", "", "plane", False),
+    ErrorKind("flat_dispersion", "flat dispersion", "", "DForm.Pla.D95%", "plane", False),
 )
 #: All tests by name.
 TESTS: dict[str, ErrorKind] = {test.name: test for test in _TESTS}

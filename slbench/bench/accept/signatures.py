@@ -112,16 +112,21 @@ def signature(
         What is one unit of it (:mod:`slbench.rig.parameters`).
     """
     step = _STEPS.get(unit, 1.0)
+    exact = rig.camera.project(points), rig.projector.project(points)
     ends = []
     for sign in (step, -step):
         other = moved(rig, {name: sign * value for name, value in error.items()})
-        ends.append(seen_by(rig, other, points, axes))
+        ends.append(_met(other, *exact, axes))
     return (ends[0] - ends[1]) / (2.0 * step)
 
 
 def seen_by(rig: Rig, other: Rig, points: Array, axes: Sequence[Axis]) -> Array:
     """Return where another rig puts points, by their exact coordinates in a rig, (N, 3)."""
-    pixels, panel = rig.camera.project(points), rig.projector.project(points)
+    return _met(other, rig.camera.project(points), rig.projector.project(points), axes)
+
+
+def _met(other: Rig, pixels: Array, panel: Array, axes: Sequence[Axis]) -> Array:
+    """Return where a rig's rays of pixels meet the panel coordinates, (N, 3)."""
     origins, directions = other.camera.unproject(pixels)
     if len(axes) == 1:
         k = "uv".index(axes[0])

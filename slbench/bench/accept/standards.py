@@ -8,8 +8,9 @@ of two, as laboratories do.  A standard at another temperature has grown to ``L 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
-from typing import Annotated
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -69,6 +70,8 @@ class Standard(Value):
     expansion_per_K, u_expansion_per_K : float
         Coefficient of thermal expansion and its standard uncertainty.
     temperature : Temperature
+    rendered : mapping, optional
+        Parameters of the object that a virtual scanner sees, where they are not the certificate's.
     """
 
     kind: StandardKind
@@ -82,6 +85,7 @@ class Standard(Value):
     expansion_per_K: Expansion = 0.0
     u_expansion_per_K: NotNegative = 0.0
     temperature: Temperature = field(default_factory=Temperature)
+    rendered: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -122,30 +126,31 @@ class Standard(Value):
         )
 
     def artefact(self) -> Artefact:
-        """Return the standard as an object that can be rendered, of its certified sizes."""
+        """Return the standard as an object that can be rendered, grown by its temperature."""
+        parameters = dict(self.rendered or self._parameters())
+        for name, value in parameters.items():
+            if name.endswith("_mm"):
+                grown = [self.at_temperature(float(one)) for one in np.atleast_1d(value)]
+                parameters[name] = grown if isinstance(value, list | tuple) else grown[0]
+        return objects.build_artefact(self.kind, parameters)
+
+    def _parameters(self) -> dict[str, Any]:
+        """Return the parameters of an object of the certified sizes."""
+        if self.size_mm is not None:
+            return {"size_mm": list(self.size_mm), "thickness_mm": 0.1 * min(self.size_mm)}
+        assert self.diameter_mm is not None
+        ball, fine = self.diameter_mm, _fine(self.diameter_mm / 2.0)
         if self.kind == "sphere":
-            radius = float(self.diameter_mm or 0.0) / 2.0
-            return objects.build_artefact("sphere", {"radius_mm": radius, **_fine(radius)})
-        if self.kind == "ball_bar":
-            assert self.diameter_mm is not None
-            ball = self.diameter_mm
-            return objects.build_artefact(
-                "ball_bar",
-                {
-                    "spacing_mm": self.spacing_mm,
-                    "ball_diameter_mm": ball,
-                    "stem_diameter_mm": 0.3 * ball,
-                    "stem_length_mm": 0.3 * ball,
-                    "bar_width_mm": 0.8 * ball,
-                    "bar_height_mm": 0.4 * ball,
-                    **_fine(ball / 2.0),
-                },
-            )
-        assert self.size_mm is not None
-        thickness = 0.1 * min(self.size_mm)
-        return objects.build_artefact(
-            "plane", {"size_mm": list(self.size_mm), "thickness_mm": thickness}
-        )
+            return {"radius_mm": ball / 2.0, **fine}
+        return {
+            "spacing_mm": self.spacing_mm,
+            "ball_diameter_mm": ball,
+            "stem_diameter_mm": 0.3 * ball,
+            "stem_length_mm": 0.3 * ball,
+            "bar_width_mm": 0.8 * ball,
+            "bar_height_mm": 0.4 * ball,
+            **fine,
+        }
 
 
 def _fine(radius_mm: float) -> dict[str, float]:
@@ -174,9 +179,3 @@ def usual_standard(kind: StandardKind, volume_mm: tuple[float, float, float]) ->
 def _round(length: float) -> float:
     step = 10.0 ** (math.floor(math.log10(length)) - 1)
     return float(f"{math.floor(length / step) * step:.6g}")
-
-
-def perturbed(standard: Standard, **by_um: float) -> Standard:
-    """Return a standard whose certificate is off: ``spacing=2.0`` says 2 um more."""
-    changes = {f"{k}_mm": getattr(standard, f"{k}_mm") + 1e-3 * v for k, v in by_um.items()}
-    return replace(standard, **changes)

@@ -61,6 +61,11 @@ class Limit:
         """Return the limit of a length, mm."""
         return 1e-3 * (self.constant_um + (length_mm / self.per if self.per else 0.0))
 
+    @property
+    def plain(self) -> float | str:
+        """The limit as a file states it."""
+        return str(self) if self.per else self.constant_um
+
     def __str__(self) -> str:
         return f"{self.constant_um:g}" + (f" + L/{self.per:g}" if self.per else "")
 
@@ -113,6 +118,29 @@ class Tested:
     def outcome(self) -> Outcome:
         """Fail if one place fails, else undecided if one is, else pass."""
         return overall([one.outcome for one in self.judged])
+
+
+@dataclass(frozen=True)
+class Worse:
+    """A test that is worse than it was.
+
+    Parameters
+    ----------
+    test : str
+    then_mm, now_mm : float
+        Worst errors.
+    """
+
+    test: str
+    then_mm: float
+    now_mm: float
+
+    def text(self) -> str:
+        """Return the test and both errors in words."""
+        return (
+            f"{self.test}: {1e3 * self.now_mm:+.3g} µm, worse than the "
+            f"{1e3 * self.then_mm:+.3g} µm that it is held to"
+        )
 
 
 def judge(value: PlaceError, limit: Limit | None) -> Judged:

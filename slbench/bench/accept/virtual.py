@@ -8,7 +8,7 @@ no edge beside them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 
 from slbench.bench.accept.evaluate import Measured, Place, measured_place
 from slbench.bench.accept.plan import faces
-from slbench.bench.accept.surfaces import Points, fit_ball
+from slbench.bench.accept.registering import registered
+from slbench.bench.accept.surfaces import Points
 from slbench.cloud.triangulation import Axis, PointCloud
-from slbench.core.errors import InputError
 from slbench.core.random import tagged_seed
 from slbench.objects import PlaneFeature
 from slbench.rig import Pose, Rig
 from slbench.scene.model import Scene, SceneObject
 from slbench.scene.truth import GroundTruth
-from slbench.score.alignment import best_motion
 from slbench.simulate.floors import halves, noise_free_coordinates
 from slbench.simulate.lights import Lights
 from slbench.simulate.reconstruct import reconstruct
@@ -162,43 +161,6 @@ def points_of(
         cloud.pixels[own, 0],
         sampling_mm=sampling,
     )
-
-
-def registered(
-    place: Place, views: Sequence[Sequence[Points]], register: str
-) -> list[list[Points]]:
-    """Put the points of several views into one frame, that of the first view's standard.
-
-    Parameters
-    ----------
-    place : Place
-    views : sequence of sequences of Points
-        Of each view, those of each ball or of the plate.
-    register : {"poses", "spheres"}
-        By the poses of the standard in each view, or by best fit of its balls' centres: two balls
-        leave a turn about their line open, which no tested value depends on.
-
-    Raises
-    ------
-    InputError
-        For spheres of a standard that has none.
-    """
-    if len(views) == 1:
-        return [list(views[0])]
-    if register == "poses":
-        return [
-            [part.moved(pose.rotation.T, -pose.rotation.T @ pose.position) for part in view]
-            for pose, view in zip(place.poses, views, strict=True)
-        ]
-    if place.standard.balls < 2:
-        expected = "poses of the views, or a standard of at least two balls"
-        raise InputError(f"{place.name}: registration", expected, place.standard.kind)
-    centres = [[fit_ball(part, place.name).values[:3] for part in view] for view in views]
-    found = [list(views[0])]
-    for own, view in zip(centres[1:], views[1:], strict=True):
-        motion = best_motion(np.array(own), np.array(centres[0]))
-        found.append([part.moved(motion.rotation, motion.position) for part in view])
-    return found
 
 
 def _half_px(scene: Scene, transports: tuple[LightTransport, ...]) -> dict[Axis, Array]:

@@ -17,6 +17,7 @@ DRAWERS: dict[str, str] = {
     "slbench.score.cloudscore:CloudScore": "slbench.report.plots.cloudscore:draw",
     "slbench.twin.twin:Twin": "slbench.report.plots.twin:draw",
     "slbench.bench.compare.comparison:Comparison": "slbench.report.pages.compare:draw",
+    "slbench.bench.accept.acceptance:Acceptance": "slbench.report.plots.acceptance:draw",
     "slbench.bench.budget.budget:Budget": "slbench.report.plots.budget:draw",
     "slbench.bench.budget.uncertainty:UncertaintyBudget": "slbench.report.plots.uncertainty:draw",
     "slbench.bench.terms.terms:Terms": "slbench.report.plots.terms:draw",

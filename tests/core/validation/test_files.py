@@ -15,6 +15,7 @@ import pytest
 from refusals import required, tables
 
 import slbench
+from slbench.bench.accept import specification
 from slbench.bench.budget.inputs import BudgetTable
 from slbench.bench.claims import baseline, file
 from slbench.calibration.models import model as calibration
@@ -87,6 +88,27 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
             ],
         },
     ),
+    (
+        specification._File,
+        {
+            "name": "mine",
+            "mpe": {"length_um": 10},
+            "standards": {"sphere": {"diameter_mm": 10.0}},
+            "rig": "rig.yaml",
+            "unit": "mm",
+            "place": [{"standard": "sphere", "clouds": ["a.ply"]}],
+            "held": [{"test": "length", "worst_um": 3.0, "u_um": 1.0}],
+        },
+    ),
+    (
+        specification._Standard,
+        {"object": "ball-bar", "spacing_U_um": 0.5, "temperature": {"celsius": 21.0}, "places": 7},
+    ),
+    (
+        specification._Place,
+        {"standard": "ball_bar", "clouds": ["a.ply", "b.ply"], "registered_by": "spheres"},
+    ),
+    (specification._Held, {"test": "length", "worst_um": 3.0, "u_um": 1.0}),
     (file._File, {"claim": [{"name": "flat"}]}),
     (file._Claim, {"name": "flat", "scene": "plane", "quantity": "plane.rms_mm", "max": 0.1}),
     (

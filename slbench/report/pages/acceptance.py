@@ -1,0 +1,48 @@
+"""The report of an acceptance."""
+
+from __future__ import annotations
+
+from slbench.bench.accept.acceptance import Acceptance
+from slbench.core.io import provenance
+from slbench.core.show.document import Cell, Page, Part, Picture, Table, Text
+
+_UM = 1e3
+_PARTS = ("certificate", "temperature", "fit", "sampling")
+
+
+def acceptance_page(result: Acceptance) -> Page:
+    """Lay an acceptance out as a report: the verdict, the tests, the places, and every value.
+
+    Parameters
+    ----------
+    result : Acceptance
+
+    Returns
+    -------
+    Page
+    """
+    words = f"Verdict: {result.outcome}. {result.why()}".strip()
+    words += "".join(f" {one.text()}." for one in result.worse)
+    symbols = tuple((one.test.words, one.test.label(result.views)) for one in result.tests)
+    parts: list[Part] = [Text("Verdict", words), result.table()]
+    caption = (
+        "Places of the standards, numbered, in the measurement volume (dashed); errors of each "
+        "test with their guard bands beside the limits."
+    )
+    parts.append(Picture.drawn("Places and errors", result.plot(), caption))
+    rows: list[tuple[Cell, ...]] = []
+    for test in result.tests:
+        for one in test.judged:
+            value = one.value
+            u = [_UM * value.u_mm[name] for name in _PARTS]
+            limit = None if one.limit_mm is None else _UM * one.limit_mm
+            rows.append(
+                (test.test.words, value.place, _UM * value.error_mm, *u, limit, one.outcome)
+            )
+    columns = ("test", "place", "error / µm", "u certificate / µm", "u temperature / µm")
+    columns_after = ("u fit / µm", "u sampling / µm", "limit / µm", "verdict")
+    parts.append(Table("All places", (*columns, *columns_after), tuple(rows)))
+    parts.append(Table("Symbols of VDI/VDE 2634 and ISO 10360-13", ("test", "symbols"), symbols))
+    return Page(
+        f"Acceptance of {result.name}", tuple(parts), provenance(result.parameters, result.seed)
+    )
