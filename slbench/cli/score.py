@@ -109,8 +109,8 @@ def score(
     table = result.table()
     print_table(table)
     print(table.note)
-    features = result.features()
-    if features is not None:
-        print_table(features)
+    for found in (result.features(), result.verdicts()):
+        if found is not None:
+            print_table(found)
     shown = page or (target / "score.png" if picture else None)
     print(f"Written to {target}" + (f": open {shown}" if shown else ""))

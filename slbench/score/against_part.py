@@ -18,18 +18,12 @@ from slbench.objects import Artefact
 from slbench.rig import Pose
 from slbench.score.cloudscore import CloudScore, score_intervals
 from slbench.score.expected import DEVIATIONS, check_part, expected_deviations, question_unit
-from slbench.score.features import (
-    FeatureScore,
-    PlaneScore,
-    SpacingScore,
-    SphereScore,
-    StepScore,
-    fit_features,
-)
+from slbench.score.features import fit_features
 from slbench.score.placing import LEAST, Placed, largest_plane, place_on_surface, plane_behind
-from slbench.score.points import Score
+from slbench.score.points import Score, by_kind
 from slbench.score.surface import Nearest, Surface
 from slbench.score.tiles import tiles_of
+from slbench.score.values import FeatureScore
 
 Array = NDArray[np.float64]
 
@@ -197,10 +191,7 @@ def _score(
         smooth_rms_mm=nan,
         smooth_bias_px={},
         smooth_rms_px={},
-        steps=[f for f in features if isinstance(f, StepScore)],
-        planes=[f for f in features if isinstance(f, PlaneScore)],
-        spheres=[f for f in features if isinstance(f, SphereScore)],
-        spacings=[f for f in features if isinstance(f, SpacingScore)],
+        **by_kind(features),
     )
 
 

@@ -153,10 +153,28 @@ class CloudScore:
             rows.append((f"form {x.name}", 0.0, x.form_mm, um * x.form_mm, None))
         for y in score.planes:
             rows.append((f"flatness {y.name}", 0.0, y.flatness_mm, um * y.flatness_mm, None))
+        rows += [
+            (
+                *(f"diameter {z.name}", z.nominal_diameter_mm, z.diameter_mm),
+                *(um * z.diameter_deviation_mm, um * z.diameter_uncertainty_mm),
+            )
+            for z in (*score.cylinders, *score.circles)
+        ]
         if not rows:
             return None
         columns = ("feature", "certified / mm", "measured / mm", "deviation / µm", "u / µm")
         return Table("Features", columns, tuple(rows))
+
+    def verdicts(self) -> Table | None:
+        """Return the table of a part's declared dimensions; None where there are none."""
+        rows = tuple(
+            (d.name, d.type, d.unit, d.nominal, d.measured, d.uncertainty, d.tolerance, d.verdict)
+            for d in self.score.dimensions
+        )
+        if not rows:
+            return None
+        columns = ("dimension", "type", "unit", "nominal", "measured", "u", "tolerance", "verdict")
+        return Table("Dimensions", columns, rows)
 
     def plot(self) -> Any:
         """Return a matplotlib figure: deviations from two sides, and how they are distributed."""

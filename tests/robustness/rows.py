@@ -166,6 +166,33 @@ def mesh(suffix: str) -> Callable[[Path], None]:
     return prepare
 
 
+def declared_part(folder: Path) -> None:
+    """Write a mesh and a file that declares features of every type on it."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=10.0)
+    block = trimesh.creation.box([30.0, 20.0, 10.0])
+    pin = trimesh.creation.cylinder(4.0, 8.0, sections=24)
+    ball.apply_translation([0.0, 0.0, 40.0])
+    pin.apply_translation([0.0, 0.0, 9.0])
+    trimesh.util.concatenate([block, pin, ball]).export(folder / "m.stl")
+    features: list[dict[str, Any]] = [
+        {"name": "top", "type": "plane", "box_mm": [[-15, -10, 4], [15, 10, 6]], "margin_mm": 0.5},
+        {"name": "pin", "type": "cylinder", "grow": {"from_mm": [4, 0, 10], "within_deg": 25.0}},
+        {"name": "ball", "type": "sphere", "sphere": {"centre_mm": [0, 0, 40], "radius_mm": 11}},
+        {
+            **{"name": "rim", "type": "circle", "nominal": {"radius_mm": 4.0}},
+            "cylinder": {"from_mm": [0, 0, 12], "to_mm": [0, 0, 14], "radius_mm": 5.0},
+        },
+    ]
+    dimensions: list[dict[str, Any]] = [
+        {"name": "d", "type": "distance", "of": ["ball", "top"], "tolerance_mm": [-9.0, 9.0]},
+        {"name": "s", "type": "perpendicularity", "of": ["pin", "top"], "tolerance_mm": 0.1},
+        {"name": "a", "type": "angle", "of": ["pin", "top"], "value_deg": 90.0},
+    ]
+    content = {"kind": "mesh", "source": "x", "parameters": {"path": "m.stl", "unit": "mm"}}
+    content |= {"features": features, "dimensions": dimensions}
+    (folder / "o.toml").write_text(tomli_w.dumps(content))
+
+
 BUILD = "objects build o.toml --out out/m.stl"
 #: Those whose building takes a second or more are tried less often.
 ARTEFACTS = {
@@ -559,6 +586,7 @@ ROWS: list[Row] = [
         of_file(f"artefact {name}", "o.toml", BUILD, artefact(name), toml_of, weight)
         for name, weight in ARTEFACTS.items()
     ),
+    of_file("declared features", "o.toml", BUILD, declared_part, toml_of),
     *(
         of_file(
             *(f"mesh {kind}", f"m.{kind.partition('_')[0]}", BUILD, mesh(kind)),

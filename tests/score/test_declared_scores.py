@@ -7,8 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slbench import objects
+from slbench.cloud.files.measured import MeasuredCloud
 from slbench.objects import Dimension
 from slbench.rig import Pose
+from slbench.score.against_part import score_against_part
 from slbench.score.features import fit_features
 
 PLATE = objects.load_artefact("feature-plate")
@@ -198,6 +200,19 @@ def test_noise_widens_a_form_by_what_is_said_of_it():
     one = scores(bent, flat)["Dimension", "d"]
     assert one.measured - one.noise < 0.4 < one.measured + 0.06
     assert one.verdict == "outside"
+
+
+def test_a_cloud_of_any_origin_is_measured_alike():
+    rng = np.random.default_rng(10)
+    points = plate_points(rng, 3000, noise=0.005)
+    cloud = MeasuredCloud(points, scalars={"u": np.full(len(points), 0.005)})
+    result = score_against_part(cloud, PLATE, placed=True)
+    measured = {one.name: one for one in result.score.dimensions}
+    assert measured["bore distance"].measured == pytest.approx(30.0, abs=0.005)
+    assert {one.name for one in result.score.cylinders} == {"bore-1", "bore-2", "pin"}
+    told = dict(zip(*(np.array(result.verdicts().rows, object).T[k] for k in (0, -1)), strict=True))
+    assert told["pin height"] == "within"
+    assert any(row[0] == "diameter pin" for row in result.features().rows)
 
 
 # -- edges -------------------------------------------------------------------------------------

@@ -103,6 +103,8 @@ FEATURE_FIELDS: dict[str, tuple[str, ...]] = {
     )
 }
 FEATURE_FIELDS["dimension"] = tuple(f"{name}_{u}" for u in ("mm", "deg") for name in _DIMENSION)
+#: Kinds that a part's file declares and gives a name that says more than a size.
+_NAMED = ("cylinder", "cone", "circle", "dimension")
 #: Those of which the largest is the worst: what ``[*]`` may be asked for.
 _LARGEST = (
     *("error_mm", "flatness_mm", "form_mm", "std_mm", "uncertainty_mm"),
@@ -284,7 +286,7 @@ def quantities_of(scene: Scene) -> list[str]:
     for feature in features:
         alike = [f for f in features if f.kind == feature.kind]
         candidates = [feature.name, feature.label]
-        if feature.nominal_mm is not None:
+        if feature.nominal_mm is not None and feature.kind not in _NAMED:
             candidates.insert(0, f"{feature.nominal_mm:g}")
         selector = next(
             (s for s in candidates if [f for f in alike if f.matches(s)] == [feature]),

@@ -19,9 +19,7 @@ def cloud_score_page(result: CloudScore) -> Page:
     Page
     """
     parts: list[Part] = [result.table()]
-    features = result.features()
-    if features is not None:
-        parts.append(features)
+    parts += [table for table in (result.features(), result.verdicts()) if table is not None]
     caption = "Signed distance of the points from the reference, positive outside."
     parts.append(Picture.drawn("Deviations", result.plot(), caption))
     values = {"deviation / µm": 1e3 * result.deviation_mm}

@@ -47,6 +47,7 @@ from slbench.bench.compare.significance import holm
 from slbench.core.errors import InputError
 from slbench.patterns import PatternSequence
 from slbench.patterns.fringes import decode as decoding
+from slbench.report.pages.features import feature_tables
 from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene
 from slbench.score.points import Score
@@ -194,6 +195,46 @@ class TestQuantities:
     def test_magnitudes_are_called_errors(self):
         for kind, names in FEATURE_FIELDS.items():
             assert ("error_mm" in names) == (kind in ("step", "spacing", "dimension"))
+
+
+class TestDeclared:
+    """Features that a part's file declares; 320 x 240 pixels see its flat faces and its cone."""
+
+    def test_their_names_are_those_of_the_file(self):
+        plate = small("feature-plate", divisor=2)
+        assert resolve("cylinder[bore-1].diameter_mm", plate, "q") == (
+            "cylinder[feature-plate/bore-1].diameter_mm",
+        )
+        assert resolve("sphere[8].radius_error_mm", plate, "q")
+        assert resolve("dimension[30].deviation_mm", plate, "q") == (
+            "dimension[feature-plate/bore distance].deviation_mm",
+        )
+        angles = resolve("dimension[*].error_deg", plate, "q")
+        assert angles == ("dimension[feature-plate/cone angle].error_deg",)
+        assert len(resolve("cylinder[*].diameter_error_mm", plate, "q")) == 3
+        known = quantities_of(plate)
+        assert "dimension[bore distance].error_mm" in known
+        assert "dimension[cone angle].error_mm" not in known
+        for wrong, near in (
+            ("dimension[bore distanc].error_mm", r"dimension\[bore distance\].error_mm"),
+            ("dimension[cone angle].error_mm", r"dimension\[cone angle\].error_deg"),
+            ("cylinder[bore-3].diameter_mm", r"cylinder\[bore-[12]\].diameter_mm"),
+        ):
+            with pytest.raises(InputError, match=near):
+                resolve(wrong, plate, "q")
+
+    def test_a_scan_has_their_values(self):
+        result = scan(small("feature-plate", divisor=2), seed=3)
+        values = score_values(result)
+        (height,) = (d for d in result.score.dimensions if d.name == "pin height")
+        assert values["dimension[feature-plate/pin height].deviation_mm"] == height.deviation
+        assert abs(height.deviation) < 4.0 * height.uncertainty < 0.02
+        assert values["cone[feature-plate/cone].points"] > 20
+        # Too few pixels see its walls: not measured, so that no claim on it holds.
+        assert np.isnan(values["cylinder[feature-plate/pin].diameter_mm"])
+        tables = {table.title: table for table in feature_tables(result.score)}
+        assert {"Planes", "Cones", "Circles", "Dimensions"} <= set(tables)
+        assert [row[1] for row in tables["Cones"].rows] == ["cone"]
 
 
 class TestChecking:
