@@ -42,6 +42,8 @@ _APART = 0.05
 _PLANE = 100_000
 #: Steps of the refinement; a motion of so little, in shares of the cloud's size, ends it.
 STEPS, STILL = 30, 1e-8
+#: The same where a place is only compared with others.
+_STILL = 1e-5
 #: Tukey's constant, in deviations (1.4826 MAD).
 TUKEY = 4.685
 #: Motions that move the surface less than this share of the others are not told by it.
@@ -148,7 +150,7 @@ def place_on_surface(
         told = _WEAK
         pose = _by_extent(surface, own, pose, weak, reach, share)
         pose = _refined(surface, own, pose, reach, told).pose
-    return _refined(surface, fine, pose, reach, told)
+    return _refined(surface, fine, pose, reach, told, STILL)
 
 
 def _weak(surface: Surface, points: Array, pose: Pose) -> Array:
@@ -222,6 +224,7 @@ def _refined(
     start: Pose,
     reach_mm: float = np.inf,
     told: float = TOLD,
+    still: float = _STILL,
 ) -> Placed:
     """Return the place from a start, by the points within reach; the others agree with nothing."""
     given = len(points)
@@ -241,7 +244,7 @@ def _refined(
         weight = tukey(away, scale)
         rows = motion_rows(points, normal, middle, size)
         step, untold = least_motion(rows, weight, residual, told)
-        if np.abs(step).max() <= STILL * size:
+        if np.abs(step).max() <= still * size:
             break
         pose = moved(pose, step, middle, size)
     return Placed(
@@ -330,13 +333,13 @@ def plane_behind(points: Array, bounds: Array, limit: Array) -> NDArray[np.bool_
         How far each point may be from the largest plane of the cloud to be one of it, mm.
     """
     point, normal, near = largest_plane(points)
-    own = points[np.abs((points - point) @ normal) <= near]
-    some = own[:: max(1, len(own) // _PLANE)]
+    some = points[:: max(1, len(points) // _PLANE)]
+    some = some[np.abs((some - point) @ normal) <= near]
     middle = some.mean(axis=0)
     normal = np.linalg.svd(some - middle, full_matrices=False)[2][2]
     inside = np.all(points > bounds[0] + limit[:, np.newaxis], axis=1)
     inside &= np.all(points < bounds[1] - limit[:, np.newaxis], axis=1)
-    return (np.abs((points - middle) @ normal) <= limit) & ~inside
+    return (np.abs(points @ normal - middle @ normal) <= limit) & ~inside
 
 
 def closest_starts(

@@ -27,11 +27,11 @@ Statistic = Callable[[NDArray[np.intp]], float]
 
 
 def tiles_of(places: Array) -> NDArray[np.intp]:
-    """Return the tile of every point, (N,), of places (N, k) in k dimensions."""
+    """Return the tile of every point by a number of its own, (N,), of places (N, k)."""
     low = places.min(axis=0)
     side = max(float(np.ptp(places, axis=0).max()), 1e-300) / _ALONG
     cells = np.minimum(np.floor((places - low) / side), _ALONG - 1).astype(np.int64)
-    return np.unique(cells @ _ALONG ** np.arange(cells.shape[1]), return_inverse=True)[1]
+    return cells @ _ALONG ** np.arange(cells.shape[1])
 
 
 def intervals(
