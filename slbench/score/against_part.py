@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 
 #: How far from the part a point is still one of it, as a share of the part's size.
 REACH = 0.05
+#: Least share of a cloud that a plane is which the part stands on.
+_LEAST_PLANE = 0.05
 #: A point further than this many robust deviations (1.4826 MAD) from the others is an outlier.
 _OUTLIER = 6.0
 #: Places on the surface that are asked whether a point is near, cells of the part along its size,
@@ -95,6 +97,8 @@ def score_against_part(
     limit = DEVIATIONS * expected.mm
     with np.errstate(invalid="ignore"):
         other = plane_behind(cloud.points, surface.bounds, limit) & ~(away <= limit)
+    if np.mean(other) < _LEAST_PLANE:
+        other[:] = False  # a few wrong points that lie in a plane of the part
     kept = ~other
     expected = replace(expected, mm=expected.mm[kept])
     cloud, away = cloud.chosen(kept), away[kept]

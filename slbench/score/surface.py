@@ -19,7 +19,7 @@ from slbench.score.boxes import BITS, LEAF, build, morton, nearest
 Array = NDArray[np.float64]
 
 #: Points that are worth a thread.
-_LEAST = 1 << 12
+_LEAST = 1 << 9
 
 
 @dataclass(frozen=True, eq=False)
