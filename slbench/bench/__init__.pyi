@@ -17,6 +17,6 @@ from .claims.pools import Pools as Pools
 from .compare.comparison import Comparison as Comparison
 from .compare.comparison import SetResult as SetResult
 from .compare.sets import PatternSet as PatternSet
+from .terms.measure import cloud_terms as cloud_terms
+from .terms.measure import scene_terms as scene_terms
 from .terms.terms import Terms as Terms
-from .terms.terms import cloud_terms as cloud_terms
-from .terms.terms import scene_terms as scene_terms

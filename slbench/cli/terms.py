@@ -49,6 +49,10 @@ def terms(
     unit: Annotated[
         Unit | None, typer.Option(help="Of clouds, where the file does not say it.")
     ] = None,
+    artefact: Annotated[
+        str | None,
+        typer.Option(help="Clouds: of which shipped artefact, or TOML of one; it is aligned."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder to write to.  [default: out/terms-NAME]")
     ] = None,
@@ -61,7 +65,9 @@ def terms(
     as_json: Json = False,
 ) -> None:
     """Measure what buyers compare: precision, planarity, resolution."""
-    from slbench.bench.terms.terms import TERMS_FOLDER, cloud_terms, scene_terms, write_terms
+    from slbench.bench.terms.measure import cloud_terms, scene_terms
+    from slbench.bench.terms.terms import TERMS_FOLDER, write_terms
+    from slbench.objects import load_artefact
 
     first = Path(sources[0])
     measured = len(sources) > 1 or (first.exists() and first.suffix.lower() != ".toml")
@@ -79,10 +85,12 @@ def terms(
         folder = out or Path("out") / f"terms-{first.stem}"
         TERMS_FOLDER.check(folder, "--out")
         clouds = [_cloud(Path(one), unit, allow_modules) for one in sources]
-        found = cloud_terms(clouds, patch_mm=patch_mm, name=first.stem)
+        part = None if artefact is None else load_artefact(artefact)
+        found = cloud_terms(clouds, artefact=part, patch_mm=patch_mm, name=first.stem)
     else:
-        if unit is not None:
-            raise InputError("--unit", "clouds", sources[0])
+        for option, text in {"--unit": unit, "--artefact": artefact}.items():
+            if text is not None:
+                raise InputError(option, "clouds", sources[0])
         loaded = load_changed(
             sources[0],
             changes,

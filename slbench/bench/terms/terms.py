@@ -1,17 +1,8 @@
-"""The terms of a scene, or of clouds of a plane: measured, in one table, each with its definition.
-
-A scene is scanned again and again in light that is traced once.  Points of its largest flat face
-give precision and planarity; *dimension trueness error*, "systematic scaling error in measured
-distances" in the maker's words (:mod:`slbench.bench.terms.planes`), is the slope of measured on
-true points over smooth lit surface, minus one: the relative error of all distances at once.  Steps
-and stars give the spatial resolution (:mod:`slbench.bench.terms.resolution`).  Clouds of a real
-plane give precision, where they are maps of one camera, and planarity.
-"""
+"""The terms of a scene or of clouds as a value: a table, each with its definition, and files."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,40 +10,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.bench.statistics import mean_interval
 from slbench.bench.terms.planes import (
     Measured,
     Planarity,
-    on_plane,
-    planarity,
-    point_precision,
 )
-from slbench.bench.terms.resolution import Edge, Star, edge_transfer, star_transfer
-from slbench.cloud.files import MeasuredCloud
-from slbench.cloud.fits.squares import core
-from slbench.core.errors import InputError, warn_user
+from slbench.bench.terms.resolution import Edge, Star
 from slbench.core.io import OutputFolder, write_json, write_table
-from slbench.core.random import tagged_seed
 from slbench.core.show.display import block, length
 from slbench.core.show.document import Cell, Table
 from slbench.core.show.drawing import figure, write_figure
-from slbench.core.validation import types
-from slbench.core.validation.values import checked
-from slbench.objects import Artefact
-from slbench.scene.model import Scene
-from slbench.scene.truth import GroundTruth
-from slbench.score.alignment import best_motion
-from slbench.simulate.lights import Lights
-from slbench.simulate.scan import scan
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 TERMS_FOLDER = OutputFolder("terms", ("terms.csv", "terms.json", "terms.png"))
-#: Pixels that a face needs to be the plane of a scene.
-_LEAST = 200
-#: What is bent by a larger share of its size is hardly a plane.
-_NOT_FLAT = 0.02
 DEFINITIONS = {
     "point precision": "median over pixels of a point's standard deviation over repeats",
     "local planarity precision": "median over patches of the points' deviation about a plane",
@@ -173,232 +144,6 @@ class Terms:
 
 def _shown(one: Measured) -> tuple[str, str]:
     return length(one.value), f"{length(one.low)} to {length(one.high)}"
-
-
-@checked
-def scene_terms(
-    scene: Scene,
-    *,
-    repeats: types.Repeats = 10,
-    patch_mm: types.Length | None = None,
-    seed: types.Seed = 0,
-    lights: Lights | None = None,
-    on_progress: Progress | None = None,
-) -> Terms:
-    """Measure the terms of a scene.
-
-    Parameters
-    ----------
-    scene : Scene
-        With a flat face for precision and planarity; with steps or a star for the resolution.
-    repeats : int
-        Scans, in the same light.
-    patch_mm : float, optional
-        Side of a patch; a twelfth of the face by default.
-    seed : int
-    lights : Lights, optional
-        With light that is at hand.
-    on_progress : callable, optional
-
-    Returns
-    -------
-    Terms
-
-    Raises
-    ------
-    InputError
-        If nothing can be measured.
-    """
-    light = lights or Lights(seed, kept=2)
-    maps = []
-    for r in range(repeats):
-        made = scan(scene, seed=tagged_seed(seed, r), score=False, lights=light)
-        maps.append(made.cloud.image(made.cloud.points))
-        if on_progress:
-            on_progress("scans", (r + 1) / repeats)
-    truth = light.truth(scene)
-    stack = np.array(maps)
-    missing: dict[str, str] = {}
-    flat = points = dimension = None
-    face = _face(scene, truth)
-    if face is None:
-        missing["planarity, point precision"] = f"no flat face of {_LEAST} pixels"
-    else:
-        own = stack[:, face]
-        points = _or_why(missing, "point precision", lambda: point_precision(own))
-        clouds = [one[np.isfinite(one[:, 0])] for one in own]
-        flat = _or_why(missing, "planarity", lambda: planarity(clouds, patch_mm))
-    smooth = truth.smooth()
-    dimension = _or_why(
-        missing, "dimension trueness error", lambda: scale(stack[:, smooth], truth.point[smooth])
-    )
-    with np.errstate(invalid="ignore"):
-        counted = np.isfinite(stack[..., 0]).sum(axis=0)
-        mean = np.nansum(stack, axis=0) / np.where(counted > 0, counted, np.nan)[..., None]
-    edges, stars = [], []
-    for k, item in enumerate(scene.objects):
-        seen = mean[(truth.object_id == k) & (counted > 0)]
-        local = item.pose.to_local(seen)
-        edges += list(_edges(item.artefact, local))
-        if item.artefact.kind == "siemens_star":
-            size = item.artefact.parameters
-            radii = size["inner_radius_mm"], size["outer_radius_mm"]
-            named = (size["spokes"], size["height_mm"], radii, item.artefact.name)
-            stars.append(star_transfer(local, *named))
-    if not edges and not stars:
-        missing["spatial resolution"] = "neither a step nor a star in the scene"
-    return Terms(
-        name=scene.name,
-        repeats=repeats,
-        points=points,
-        planarity=flat,
-        dimension=dimension,
-        edges=tuple(edges),
-        stars=tuple(stars),
-        missing=missing,
-        seed=seed,
-        parameters={"scene": scene.specification, "repeats": repeats, "patch_mm": patch_mm},
-    )
-
-
-@checked
-def cloud_terms(
-    clouds: Sequence[MeasuredCloud], *, patch_mm: types.Length | None = None, name: str = "clouds"
-) -> Terms:
-    """Measure the terms of clouds of one plane that was measured once or again and again.
-
-    Parameters
-    ----------
-    clouds : sequence of MeasuredCloud
-        Repeats in one frame.  Point precision needs maps of one camera.
-    patch_mm : float, optional
-        Side of a patch; a twelfth of the plane by default.
-    name : str
-
-    Returns
-    -------
-    Terms
-
-    Raises
-    ------
-    InputError
-        If there is no plane in them.
-
-    Warns
-    -----
-    InputWarning
-        If what was measured is no plane.
-    """
-    if not clouds:
-        raise InputError(name, "at least one cloud", "none")
-    planes = [cloud.chosen(on_plane(cloud.points)) for cloud in clouds]
-    missing = {
-        "dimension trueness error": "what is true is not known",
-        "spatial resolution": "what is true is not known",
-    }
-    points = None
-    if len(clouds) < 2:
-        missing["point precision"] = "two repeats or more"
-    elif any(one.pixels is None or one.shape != clouds[0].shape for one in clouds):
-        missing["point precision"] = "clouds that are maps of one camera"
-    else:
-        assert clouds[0].shape is not None
-        stack = np.full((len(clouds), *clouds[0].shape, 3), np.nan)
-        for image, one in zip(stack, planes, strict=True):
-            assert one.pixels is not None
-            u, v = one.pixels.T
-            image[v, u] = one.points
-        own = stack.reshape(len(stack), -1, 3)
-        points = _or_why(missing, "point precision", lambda: point_precision(own))
-    flat = planarity([one.points for one in planes], patch_mm)
-    extent = float(np.ptp(flat.centres, axis=0).max())
-    if flat.range_mm > _NOT_FLAT * extent:
-        bent = f"bent by {length(flat.range_mm)} over {length(extent)}: no plane?"
-        warn_user(name, bent)
-    return Terms(
-        name=name,
-        repeats=len(clouds),
-        points=points,
-        planarity=flat,
-        missing=missing,
-        parameters={"clouds": [one.source for one in clouds], "patch_mm": patch_mm},
-    )
-
-
-def _or_why(missing: dict[str, str], name: str, measure: Callable[[], Any]) -> Any:
-    """Return what is measured; None where it cannot be, and why."""
-    try:
-        return measure()
-    except InputError as error:
-        missing[name] = f"expected {error.expected}, got {error.got}"
-        return None
-
-
-def _face(scene: Scene, truth: GroundTruth) -> NDArray[np.bool_] | None:
-    """Return the pixels of the flat face that most pixels see, (V, U); None for none."""
-    smooth, best = truth.smooth(), None
-    for k, item in enumerate(scene.objects):
-        own = smooth & (truth.object_id == k)
-        local = item.pose.to_local(truth.point[own])
-        for face in item.artefact.planes:
-            on = face.contains(local) & (np.abs(local[:, 2] - face.z_mm) < 1e-6)
-            if np.count_nonzero(on) >= max(_LEAST, 0 if best is None else np.count_nonzero(best)):
-                best = np.zeros_like(own)
-                best[own] = on
-    return best
-
-
-def scale(stack: Array, true: Array) -> Measured:
-    """Return the relative error of distances, by the slope of measured on true points.
-
-    Parameters
-    ----------
-    stack : (R, P, 3) float
-        Repeats of P points, mm; NaN where one was not measured.
-    true : (P, 3) float
-
-    Returns
-    -------
-    Measured
-        Mean over repeats, and Student's interval of it; of one repeat no interval.
-    """
-    found = []
-    for points in stack:
-        seen = np.isfinite(points[:, 0])
-        motion = best_motion(points[seen], true[seen])
-        moved, aim = motion.to_world(points[seen]), true[seen]
-        kept = core(np.linalg.norm(moved - aim, axis=1))
-        p, q = (one[kept] - one[kept].mean(axis=0) for one in (moved, aim))
-        found.append(float(np.sum(p * q) / np.sum(q * q)) - 1.0)
-    if len(found) < 2:
-        return Measured(found[0], float("nan"), float("nan"))
-    return Measured(*mean_interval(np.array(found), 0.95))
-
-
-def _edges(artefact: Artefact, local: Array) -> Iterator[Edge]:
-    """Yield the transfer of every straight step between two neighbouring faces."""
-    for a, b in itertools.combinations(artefact.planes, 2):
-        for along, across in (("x_mm", "y_mm"), ("y_mm", "x_mm")):
-            first, second = sorted((a, b), key=lambda face: getattr(face, along)[0])
-            end, begin = getattr(first, along)[1], getattr(second, along)[0]
-            low = max(getattr(a, across)[0], getattr(b, across)[0])
-            high = min(getattr(a, across)[1], getattr(b, across)[1])
-            lengths = [np.diff(getattr(face, along))[0] for face in (a, b)]
-            rise = second.z_mm - first.z_mm
-            gap = begin - end
-            if rise == 0.0 or low >= high or not 0.0 < gap < min(lengths):
-                continue
-            # As much of either face as of the gap between, whose middle is the edge.
-            axis = 0 if along == "x_mm" else 1
-            reach = min(1.5 * gap, 0.5 * gap + min(lengths))
-            distance = (local[:, axis] - 0.5 * (end + begin)) * np.sign(rise)
-            beside = local[:, 1 - axis]
-            near = (np.abs(distance) < reach) & (beside > low) & (beside < high)
-            name = f"{artefact.name}, {first.name} to {second.name}"
-            try:
-                yield edge_transfer(distance[near], local[near, 2], 0.5 * gap, name)
-            except InputError:
-                continue  # a face that was not measured
 
 
 def write_terms(terms: Terms, folder: str | Path) -> None:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from slbench.bench.terms.measure import scale
 from slbench.bench.terms.planes import planarity, point_deviations, point_precision
-from slbench.bench.terms.terms import scale
 from slbench.core.errors import InputError
 
 SIGMA = 0.02
