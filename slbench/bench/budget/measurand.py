@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +18,9 @@ from slbench.bench.claims.quantities import (
 )
 from slbench.core.errors import InputError
 from slbench.scene.model import Scene
+
+#: Names of how far something is off: error_mm, radius_deviation_mm, angle_error_deg.
+_OFF = re.compile(r"(.*?)(?:error|deviation)_(mm|deg)")
 
 
 @dataclass(frozen=True)
@@ -47,34 +51,36 @@ class Measurand:
     @property
     def magnitude(self) -> bool:
         """Whether it is the magnitude of a deviation."""
-        return self._deviation in FEATURE_FIELDS[self.feature.kind] and "error" in self.field
+        return self.of_nominal and "error" in self.field
 
     @property
     def of_nominal(self) -> bool:
         """Whether the certified size is taken from it."""
-        return self._deviation in FEATURE_FIELDS[self.feature.kind]
+        return self._named("deviation") in FEATURE_FIELDS[self.feature.kind]
 
-    @property
-    def nominal_mm(self) -> float:
-        """What is taken from a measured size to make it; zero for what is no deviation."""
-        return (self.feature.nominal_mm or 0.0) if self.of_nominal else 0.0
+    def _named(self, word: str) -> str:
+        """Return the field with another word for how far it is off; empty for no such field."""
+        match = _OFF.fullmatch(self.field)
+        return "" if match is None else f"{match[1]}{word}_{match[2]}"
 
-    @property
-    def _deviation(self) -> str:
-        return (
-            self.field.replace("error_mm", "deviation_mm")
-            if self.field.endswith(("error_mm", "deviation_mm"))
-            else ""
-        )
+    def signed(self, scores: Iterable[Any]) -> tuple[float, float]:
+        """Return it by the scores of its object's features, and the nominal size taken from it.
 
-    def signed(self, scores: Iterable[Any]) -> float:
-        """Return it by the scores of its object's features, a deviation for its magnitude."""
-        name = self._deviation if self.magnitude else self.field
+        Of a magnitude, that is the deviation; where none is taken from it, zero.
+        """
         for one in scores:
             kind = type(one).__name__.removesuffix("Score").lower()
-            if (kind, one.name) == (self.feature.kind, self.feature.name):
-                return float(getattr(one, name))
-        return float("nan")
+            if (kind, one.name) != (self.feature.kind, self.feature.name):
+                continue
+            if not self.of_nominal:
+                return float(getattr(one, self.field)), 0.0
+            deviation = float(getattr(one, self._named("deviation")))
+            # step: measured_mm; sphere: radius_mm; cone: angle_deg
+            size = self._named("measured")
+            if not hasattr(one, size):
+                size = self._named("").replace("__", "_")
+            return deviation, float(getattr(one, size)) - deviation
+        return float("nan"), 0.0
 
 
 def measurand_of(text: str, scene: Scene, where: str = "measurand") -> Measurand:

@@ -95,6 +95,7 @@ class Measurement:
         rows, columns = np.nonzero(usable)
         self._pixels = np.column_stack((columns, rows))
         self._owner = truth.object_id.ravel()[self._flat]
+        self._smooth = truth.smooth().ravel()[self._flat]
         self._true = truth.point.reshape(-1, 3)[self._flat]
         self._few = self._transport.chosen(self._flat)
         own = scene.calibration
@@ -104,7 +105,7 @@ class Measurement:
         self._still: dict[Any, Any] = {}
 
     def _usable(self, owners: set[int]) -> NDArray[np.bool_]:
-        """Return a mask of smooth pixels on and around the features that are measured."""
+        """Return a mask of lit pixels on and around the features that are measured."""
         truth, scene = self._truth, self._scene
         near = np.zeros(truth.lit.shape, bool)
         for k in owners:
@@ -115,7 +116,7 @@ class Measurement:
             near[own] |= _region(asked, item.artefact, local)
         side = 2 * _MARGIN_PX + 1
         near = cv2.dilate(near.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
-        usable: NDArray[np.bool_] = near & truth.smooth() & np.isin(truth.object_id, list(owners))
+        usable: NDArray[np.bool_] = near & truth.lit & np.isin(truth.object_id, list(owners))
         return usable
 
     def __len__(self) -> int:
@@ -152,28 +153,27 @@ class Measurement:
         self, points: Array, chosen: NDArray[np.intp], values: Mapping[str, Any]
     ) -> Array:
         if self._align:
-            points = best_motion(points, self._true[chosen]).to_world(points)
+            inner = self._smooth[chosen]
+            points = best_motion(points[inner], self._true[chosen][inner]).to_world(points)
         found: dict[int, Sequence[Any]] = {}
         for k in {one.item for one in self.measurands}:
             item, own = self._scene.objects[k], self._owner[chosen] == k
             lines = None
             if self._lines:
                 lines = self._pixels[chosen[own], 0 if "u" in self._scene.sequence.axes else 1]
-            part = item.artefact, item.pose, lines, self._scene.rig
+            part = item.artefact, item.pose, lines, self._scene.rig, self._smooth[chosen[own]]
             found[k] = fit_features(points[own], *part)
         return np.array([self._corrected(one, found[one.item], values) for one in self.measurands])
 
     def _corrected(self, one: Measurand, scores: Sequence[Any], values: Mapping[str, Any]) -> float:
         """Return a measurand with what temperature, certificate and corrections make of it."""
-        value = one.signed(scores)
+        value, size = one.signed(scores)
         if one.unit == "mm":
             # The part has its size of the estimated temperature and is brought to the reference by
             # the one that is drawn.
-            size = one.nominal_mm
             grown = self._growth(values) / self._growth(self._estimates)
             value = (value + size) / grown - size
-        if one.of_nominal:
-            value -= values.get(CERTIFICATE, 0.0)
+            value -= values.get(CERTIFICATE, 0.0) if one.of_nominal else 0.0
         for name, acts in self._acts.items():
             value = value + values[name] if acts == "offset" else value * (1.0 + values[name])
         return abs(value) if one.magnitude else value

@@ -36,7 +36,9 @@ from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.against_part import score_against_part
 from slbench.score.alignment import best_motion
-from slbench.score.features import MIN_POINTS, SpacingScore, fit_features
+from slbench.score.features import fit_features
+from slbench.score.residuals import MIN_POINTS
+from slbench.score.values import SpacingScore
 from slbench.simulate.lights import Lights
 from slbench.simulate.scan import scan
 

@@ -103,6 +103,46 @@ class TestMeasurement:
         assert found[1] == pytest.approx(expected[1], abs=5e-5)
         assert len(model) < 0.7 * scene.rig.camera.width * scene.rig.camera.height
 
+    @pytest.mark.slow
+    def test_declared_features_are_those_of_a_scan_too(self, tmp_path):
+        # Turned, so that walls of bores and pins are seen.
+        plate = {"artefact": "feature-plate", "rotation_deg": [-40.0, 10.0, 25.0]}
+        finer = {"resolution_px": [320, 240], "pitch_um": 14.8}
+        path = write_scene(
+            tmp_path, objects=[plate | {"material": "matt-white-spray"}], camera=finer
+        )
+        own = sl.load_scene(path)
+        quiet = {"bit_depth": 16, "full_well_e": 1e10, "read_noise_e": 0.0}
+        own = replace(own, detector=replace(own.detector, **quiet))
+        lights = Lights(0)
+        whole = sl.scan(own, noise=False, lights=lights).score
+        found = {}
+        for scores, kind, fields in (
+            (whole.cylinders, "cylinder", ("diameter_mm", "diameter_deviation_mm")),
+            (whole.cones, "cone", ("angle_deg", "angle_error_deg")),
+            (whole.spheres, "sphere", ("radius_deviation_mm",)),
+            (whole.circles, "circle", ("diameter_error_mm",)),
+            (whole.dimensions, "dimension", ("deviation_mm",)),
+        ):
+            for one in scores:
+                found |= {f"{kind}[{one.name}].{name}": getattr(one, name) for name in fields}
+        found = {name: value for name, value in found.items() if np.isfinite(value)}
+        assert {name.partition("[")[0] for name in found} >= {"cylinder", "cone", "dimension"}
+        given = stated(STATED, "test")
+        model = Measurement(own, list(found), inputs_of(own, given), lights)
+        # Of some 170 points of a wall, the rounding of a scan's frames takes one or two to the
+        # other side of what is fitted: a micrometre, where errors are some tens.
+        assert model({}) == pytest.approx(list(found.values()), abs=2e-3)
+        warm = model({"part.temperature_C": 34.0}) - model({})
+        for one, change in zip(model.measurands, warm, strict=True):
+            if one.field == "diameter_mm":
+                whole_mm = found[one.text] * (1.0 + 23e-6 * 4.0)
+                assert change == pytest.approx(-23e-6 * 10.0 * whole_mm, rel=1e-3)
+                deviation = one.text.replace("diameter_mm", "diameter_deviation_mm")
+                assert warm[list(found).index(deviation)] == pytest.approx(change)
+            if one.unit == "deg":
+                assert change == 0.0
+
     def test_noise_and_vibration_are_those_of_scans(self, scene, lights):
         shaken = replace(scene, exposure=replace(scene.exposure, vibration_px=0.05))
         found = uncertainty_budget(shaken, [STEP], draws=200, lights=lights, seed=5)
