@@ -28,6 +28,7 @@ from slbench.core.validation.types import (
     FringeCount,
     FringeWidth,
     Interval,
+    LearningSteps,
     PanelWidth,
     PhaseDeviation,
     Proportion,
@@ -54,12 +55,13 @@ APPLIES = {
     "preview": "--scene",
     "shifts": "--noise-rad, --noise-table or --scene",
     "seed": "--scene or --method monte-carlo",
+    **dict.fromkeys(("data", "held_out", "against", "steps", "out"), "--learn"),
 }
 
 
 @command(
     "slbench design patterns --width-px 400 --noise-rad 0.036 --noise-step 0.001 "
-    "--phase-model thesis --json"
+    "--phase-model thesis --json; slbench design patterns --learn --data data --frames 6"
 )
 def patterns(
     context: typer.Context,
@@ -136,6 +138,28 @@ def patterns(
         Path | None, typer.Option(help="CSV to write the noise to, as --noise-table reads it.")
     ] = None,
     plot: Annotated[Path | None, typer.Option(help="Figure to write (.png, .pdf, .svg).")] = None,
+    learn: Annotated[
+        bool,
+        typer.Option(
+            "--learn",
+            help="Learn a code of --frames (6) by gradients, on --scene or --data; torch.",
+        ),
+    ] = False,
+    data: Annotated[
+        str | None, typer.Option(help="learn: data set; a quarter of its objects is held out.")
+    ] = None,
+    held_out: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SCENE", help="learn: scene to judge the code on; give each."),
+    ] = None,
+    against: Annotated[
+        Literal["matching", "bound"],
+        typer.Option(help="learn: the matching decoder's error, or the Cramér-Rao bound."),
+    ] = "matching",
+    steps: Annotated[LearningSteps, typer.Option(help="learn: steps of the descent.")] = 3000,
+    out: Annotated[
+        Path | None, typer.Option(help="learn: folder to write.  [default: out/learned-patterns]")
+    ] = None,
     seed: Seed = 0,
     changes: SceneChanges = None,
     preview: Preview = False,
@@ -143,7 +167,31 @@ def patterns(
     allow_outside: AllowOutside = False,
     as_json: Json = False,
 ) -> None:
-    """Design the fringe sets that the phase noise of a system needs."""
+    """Design fringe sets for the noise of a system, or learn a code."""
+    if learn:
+        from slbench.cli.design.learn import OPTIONS, run_learn
+
+        ignored = [name for name in _given(context) if name not in OPTIONS]
+        if ignored:
+            option = next(one.opts[0] for one in context.command.params if one.name == ignored[0])
+            raise InputError(option, "not beside --learn", "given")
+        run_learn(
+            scene=scene,
+            data=data,
+            held_out=held_out,
+            frames=frames,
+            max_fringes=max_fringes,
+            against=against,
+            steps=steps,
+            out=out,
+            scans=scans if "scans" in _given(context) else None,
+            seed=seed,
+            changes=changes,
+            preview=preview,
+            allow_modules=allow_modules,
+            as_json=as_json,
+        )
+        return
     from slbench.capture.capture import Capture
     from slbench.core.io import check_output_file
     from slbench.design.fringes.bounded import bounded_sequence
@@ -287,11 +335,21 @@ def patterns(
             print(f"Written to {path}")
 
 
+def _given(context: typer.Context) -> list[str]:
+    """Return the names of the options that the user gave."""
+    sources = {
+        one.name: context.get_parameter_source(one.name or "") for one in context.command.params
+    }
+    return [
+        name for name, source in sources.items() if source and source.name != "DEFAULT" and name
+    ]
+
+
 def _check_options(context: typer.Context, chosen: list[str]) -> None:
     """Refuse options that the user gave and that the chosen source, criterion or method ignores."""
+    given = _given(context)
     for name, needs in APPLIES.items():
-        source = context.get_parameter_source(name)
-        if source is None or source.name == "DEFAULT":
+        if name not in given:
             continue
         if not any(choice in needs.replace(" or ", ", ").split(", ") for choice in chosen):
             option = next(one.opts[0] for one in context.command.params if one.name == name)

@@ -51,6 +51,7 @@ __all__ = [
     "Gt",
     "Interval",
     "Le",
+    "LearningSteps",
     "Length",
     "Lengths",
     "Lt",
@@ -222,6 +223,7 @@ Micrometres = Annotated[float, FINITE, Interval(ge=0.0, le=1e6)]
 #: The same, and not nothing.
 Step = Annotated[float, FINITE, Interval(ge=1e-3, le=1e6)]
 #: A standard deviation of a relative phase, rad.
+LearningSteps = Annotated[int, Interval(ge=10, le=100_000)]
 PhaseDeviation = Annotated[float, FINITE, Interval(ge=1e-6, le=10.0)]
 #: Least pixels of a fringe.
 FringeWidth = Annotated[float, FINITE, Interval(ge=3.0, le=65536.0)]
