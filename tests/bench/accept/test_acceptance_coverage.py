@@ -1,7 +1,8 @@
 """Stated intervals of acceptance tests hold the long-run value as often as they say.
 
-Light is traced once.  Of each virtual acceptance test the measuring rig, drawn from a calibration's
-covariance, and the noise are new.  Cameras are cropped to the rows of each standard.
+Light is traced once, so that what its samples leave is the same in all and no part of the intervals
+here.  Of each virtual acceptance test the measuring rig, drawn from a calibration's covariance, and
+the noise are new.  Cameras are cropped to the rows of each standard.
 """
 
 from __future__ import annotations
@@ -41,8 +42,8 @@ def covariance() -> ParameterCovariance:
 
 
 def cropped(light: Light) -> Light:
-    """The same light in the rows of the camera that the standard is in."""
-    scenes, transports, truths, pixels, half = [], [], [], [], []
+    """The same light in the rows of the camera that the standard is in, without its halves."""
+    scenes, transports, truths, pixels = [], [], [], []
     for k, scene in enumerate(light.scenes):
         rows = np.flatnonzero(np.any(light.pixels[k], axis=(0, 2)))
         own = slice(max(int(rows[0]) - 1, 0), int(rows[-1]) + 2)
@@ -55,9 +56,13 @@ def cropped(light: Light) -> Light:
         truth = light.truths[k]
         truths.append(replace(truth, **{name: a[own] for name, a in vars(truth).items()}))
         pixels.append(tuple(one[own] for one in light.pixels[k]))
-        half.append({axis: one[own] for axis, one in light.half_px[k].items()})
     return Light(
-        light.place, tuple(scenes), tuple(transports), tuple(truths), tuple(pixels), tuple(half)
+        light.place,
+        tuple(scenes),
+        tuple(transports),
+        tuple(truths),
+        tuple(pixels),
+        ({},) * len(scenes),
     )
 
 
