@@ -132,6 +132,16 @@ def test_a_shifted_picture_is_where_the_camera_looks(folder, offset):
     assert (abs(edge[1]) < 1e-12) == (offset == 100.0)
 
 
+def test_a_mesh_keeps_its_own_colours(folder):
+    solid = trimesh.creation.box((30.0, 20.0, 10.0))
+    paint = trimesh.visual.material.PBRMaterial(baseColorFactor=[0.2, 0.2, 0.2, 1.0])
+    solid.visual = trimesh.visual.TextureVisuals(material=paint)
+    solid.export(folder / "part.glb")
+    assert new(object="part.glb", unit="mm").status == 0
+    item = load_scene(folder / "mine.toml").objects[0]
+    assert item.material_of("body").bsdf.albedo == pytest.approx(0.2)
+
+
 def test_a_mesh_and_hardware_of_one_s_own(folder):
     trimesh.creation.box((30.0, 20.0, 10.0)).export(folder / "part.stl")
     (folder / "hardware.toml").write_text(

@@ -118,7 +118,8 @@ def new_scene(
         "[[objects]]": [
             *shape,
             Entry("position_mm", -bounds.mean(axis=0), "derived: its middle is in the origin"),
-            Entry("material", _MATERIAL, "assumed"),
+            # A mesh file that states colours keeps them.
+            *([] if artefact.surfaces else [Entry("material", _MATERIAL, "assumed")]),
         ],
     }
     used = {one.name: one for one in (camera, projector)}
