@@ -7,7 +7,7 @@ from .accept.folder import accept_folder as accept_folder
 from .accept.standards import Standard as Standard
 from .accept.verdict import Limit as Limit
 from .budget.inputs import read_budget as read_budget
-from .budget.uncertainty import UncertaintyBudget as UncertaintyBudget
+from .budget.result import UncertaintyBudget as UncertaintyBudget
 from .budget.uncertainty import uncertainty_budget as uncertainty_budget
 from .claims.check import Result as Result
 from .claims.check import check_claim as check_claim

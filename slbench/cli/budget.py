@@ -116,7 +116,8 @@ def _measurands(
     from slbench.bench.budget.budget import BUDGET_FOLDER
     from slbench.bench.budget.certificate import summary_of, write_uncertainty
     from slbench.bench.budget.inputs import read_budget
-    from slbench.bench.budget.uncertainty import METHOD, uncertainty_budget
+    from slbench.bench.budget.result import METHOD
+    from slbench.bench.budget.uncertainty import uncertainty_budget
 
     given = None if inputs is None else read_budget(inputs)
     with progress(as_json) as report:

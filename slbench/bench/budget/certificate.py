@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from slbench.bench.budget.uncertainty import (
+from slbench.bench.budget.result import (
     METHOD,
     Contribution,
     MeasurandBudget,

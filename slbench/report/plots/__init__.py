@@ -19,7 +19,7 @@ DRAWERS: dict[str, str] = {
     "slbench.bench.compare.comparison:Comparison": "slbench.report.pages.compare:draw",
     "slbench.bench.accept.acceptance:Acceptance": "slbench.report.plots.acceptance:draw",
     "slbench.bench.budget.budget:Budget": "slbench.report.plots.budget:draw",
-    "slbench.bench.budget.uncertainty:UncertaintyBudget": "slbench.report.plots.uncertainty:draw",
+    "slbench.bench.budget.result:UncertaintyBudget": "slbench.report.plots.uncertainty:draw",
     "slbench.bench.terms.terms:Terms": "slbench.report.plots.terms:draw",
     "slbench.bench.diagnose.diagnosis:Diagnosis": "slbench.report.plots.diagnose:draw",
     "slbench.bench.sweep.sweep:Sweep": "slbench.report.plots.sweep:draw",

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from scipy.stats import norm
 
 from slbench.bench.budget.certificate import ranked
-from slbench.bench.budget.uncertainty import MeasurandBudget, UncertaintyBudget
+from slbench.bench.budget.result import MeasurandBudget, UncertaintyBudget
 from slbench.core.show.display import length_unit
 
 #: Measurands that a picture has room for, and bars of each.
