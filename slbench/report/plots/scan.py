@@ -293,6 +293,8 @@ def _histogram(
     if scan.scores is not None:
         features = [("step", s.nominal_mm, s.measured_mm) for s in scan.score.steps]
         features += [("radius", s.nominal_radius_mm, s.radius_mm) for s in scan.score.spheres]
+        round_ = (*scan.score.cylinders, *scan.score.circles)
+        features += [("diameter", c.nominal_diameter_mm, c.diameter_mm) for c in round_]
         for name, nominal, measured in features[:_FEATURES]:
             own = length_unit(nominal)
             digits = 4 if own.name == "mm" else 2
@@ -306,5 +308,5 @@ def _histogram(
     sheet.text(box.left + 6.0, box.top + 6.0, text, size=TICK_PT)
 
 
-#: Steps and spheres that are named beside the histogram.
+#: Steps, spheres and bores that are named beside the histogram.
 _FEATURES = 3
