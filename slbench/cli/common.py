@@ -229,12 +229,13 @@ def print_table(table: Any, *, left: int = 1) -> None:
     """
     from rich import table as terminal
     from rich.console import Console
+    from rich.markup import escape
     from rich.text import Text
 
     from slbench.core.show.document import Table
 
     if isinstance(table, Table):
-        laid_out = terminal.Table(title=table.title or None)
+        laid_out = terminal.Table(title=escape(table.title) or None)
         for k, column in enumerate(table.columns):
             # Names are broken rather than cut short: they are what tells rows apart.
             justify: Literal["left", "right"] = "left" if k < left else "right"
