@@ -64,7 +64,7 @@ def score(
     picture: Annotated[bool, typer.Option("--picture/--no-picture", help="Draw score.png.")] = True,
     as_json: Json = False,
 ) -> None:
-    """Score any cloud against a scan's truth, an artefact, or a mesh."""
+    """Score any cloud against truth, an artefact or a mesh."""
     given = {"--truth": truth, "--artefact": artefact, "--mesh": mesh}
     named = [name for name, value in given.items() if value is not None]
     if len(named) != 1:

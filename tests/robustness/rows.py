@@ -489,6 +489,7 @@ STARTS = {
     "decode": "capture --out out",
     "fuse": "photos --out out/a.png",
     "register": "v0.ply v1.ply --positions pos.csv --out out",
+    "score": "v0.ply --artefact plane --placed --out out",
     "calibrate board": "capture --board chequerboard --size 9x7 --pitch-mm 8 --out out/r.yaml",
     "calibrate combine": "capture/rig.yaml capture/rig.yaml capture --board chequerboard "
     "--size 9x7 --pitch-mm 8 --out out/r.yaml",
