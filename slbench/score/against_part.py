@@ -107,7 +107,7 @@ def score_against_part(
     on = np.isfinite(away)
     errors = cloud.points[on] - near.point[on]
     lines = _lines(cloud, on, part)
-    features = fit_features(cloud.points[on], part, Pose(np.eye(3), np.zeros(3)), lines)
+    features = fit_features(cloud.points[on], part, Pose(), lines, level=motion is not None)
     return CloudScore(
         score=_score(cloud, near.distance, errors, surface, features),
         reference="mesh" if part.kind == "mesh" else "artefact",

@@ -12,7 +12,7 @@ artefact, positions and number of repeats are the caller's.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from slbench.cloud.fits.squares import core
 from slbench.objects import REFERENCE, Artefact, PlaneFeature, SphereFeature
 from slbench.rig import Pose, Rig
 from slbench.rig.pose import product
+from slbench.score.levels import parallel_heights
 from slbench.score.residuals import MIN_POINTS, facing, spread, trimmed_range
 from slbench.score.surfaces import Marked, fit_surfaces
 from slbench.score.values import FeatureScore, PlaneScore, SpacingScore, SphereScore, StepScore
@@ -40,6 +41,7 @@ def fit_features(
     lines: NDArray[np.integer] | None = None,
     rig: Rig | None = None,
     smooth: NDArray[np.bool_] | None = None,
+    level: bool = False,
 ) -> list[FeatureScore]:
     """Fit an artefact's features to measured points; no ground truth needed.
 
@@ -58,6 +60,9 @@ def fit_features(
     smooth : (N,) bool, optional
         Points whose neighbours lie on the same smooth surface.  The others serve edges alone
         (circles), which lie between them; without it all points serve both.
+    level : bool
+        Whether steps are the distances of parallel planes instead of heights along the object's z:
+        for a pose that was found by the points themselves (:mod:`slbench.score.levels`).
 
     Returns
     -------
@@ -72,18 +77,26 @@ def fit_features(
     labels = np.arange(len(local)) if inner.lines is None else inner.lines
     found: list[FeatureScore] = []
     planes: dict[str, _Plane] = {}
+    flat: dict[str, NDArray[np.intp]] = {}
     for face in artefact.planes:
         over = np.flatnonzero(face.contains(local))
         # Gross errors of the fringe order are far off the face.
         over = over[np.abs(local[over, 2] - face.z_mm) < _reach(artefact, face)]
         if len(over) >= MIN_POINTS:
             planes[face.name] = _Plane.fit(face, local[over], labels[over])
+            flat[face.name] = over[planes[face.name].inliers]
             found.append(planes[face.name].flatness(artefact.name))
     base = planes.get(REFERENCE)
     if base is not None:
-        found += [
-            plane.step(artefact.name, base) for name, plane in planes.items() if name != REFERENCE
-        ]
+        steps = [plane.step(artefact.name, base) for plane in planes.values()]
+        if level:
+            own = [local[over] for over in flat.values()], [labels[over] for over in flat.values()]
+            heights, variances = parallel_heights(*own, list(planes).index(REFERENCE))
+            steps = [
+                replace(step, measured_mm=float(height), uncertainty_mm=float(np.sqrt(variance)))
+                for step, height, variance in zip(steps, heights, variances, strict=True)
+            ]
+        found += [step for step in steps if step.name != REFERENCE]
     balls: list[_Ball] = []
     for sphere in artefact.spheres:
         outward = local - np.array(sphere.centre_mm)

@@ -145,6 +145,7 @@ def score(
     objects: tuple[SceneObject, ...] = (),
     rig: Rig | None = None,
     errors: Array | None = None,
+    level: bool = False,
 ) -> Score:
     """Score a point cloud against exact truth.
 
@@ -162,6 +163,9 @@ def score(
     errors : (N, 3) float, optional
         Of the points; :func:`point_errors` by default, which takes every point as one of its
         pixel's centre ray.
+    level : bool
+        Whether the cloud was moved to the truth by its own points, so that steps are taken between
+        parallel planes (:mod:`slbench.score.levels`).
 
     Returns
     -------
@@ -185,7 +189,7 @@ def score(
     unsure = cloud.u_total_mm
     coverage = _coverage(cloud, error, in_smooth & lit)
     seen = np.where(truth.lit, truth.object_id, -1)
-    features = _features(cloud, seen, in_smooth, objects, rig)
+    features = _features(cloud, seen, in_smooth, objects, rig, level)
     return Score(
         points=len(cloud),
         completeness=_ratio(_pixels(cloud, lit), np.count_nonzero(truth.lit)),
@@ -243,6 +247,7 @@ def _features(
     usable: NDArray[np.bool_],
     objects: tuple[SceneObject, ...],
     rig: Rig | None,
+    level: bool,
 ) -> list[FeatureScore]:
     """Fit the features of every object to the points that lie on it: surfaces to smooth ones."""
     found: list[FeatureScore] = []
@@ -253,7 +258,7 @@ def _features(
     for k, item in enumerate(objects):
         chosen = owner == k
         points, smooth = cloud.points[chosen], usable[chosen]
-        found += fit_features(points, item.artefact, item.pose, line[chosen], rig, smooth)
+        found += fit_features(points, item.artefact, item.pose, line[chosen], rig, smooth, level)
     return found
 
 

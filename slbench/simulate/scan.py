@@ -404,7 +404,14 @@ def score_scan(scan: Scan) -> Scan:
     floor = floor_of(view.transport, scene.sequence, scene.rig.projector, view.truth)
     cloud = scan.cloud.with_steady(floor.sampling_px)
     scores = ScanScores(
-        points=score_points(cloud, view.truth, view.phase, scene.objects, scene.rig),
+        points=score_points(
+            cloud,
+            view.truth,
+            view.phase,
+            scene.objects,
+            scene.rig,
+            level=scan.motion is not None,
+        ),
         floor_rms_px=floor.rms_px,
         monte_carlo_rms_px=floor.sampling_rms_px,
         fusion=fusion,

@@ -162,7 +162,7 @@ class Measurement:
             if self._lines:
                 lines = self._pixels[chosen[own], 0 if "u" in self._scene.sequence.axes else 1]
             part = item.artefact, item.pose, lines, self._scene.rig, self._smooth[chosen[own]]
-            found[k] = fit_features(points[own], *part)
+            found[k] = fit_features(points[own], *part, level=self._align)
         return np.array([self._corrected(one, found[one.item], values) for one in self.measurands])
 
     def _corrected(self, one: Measurand, scores: Sequence[Any], values: Mapping[str, Any]) -> float:

@@ -370,9 +370,11 @@ def _steps(
     owner = np.where(chosen, truth.object_id[cloud.pixels[:, 1], cloud.pixels[:, 0]], -1)
     # As in a score: errors go together along the camera line that follows a panel line.
     line = cloud.pixels[:, 0 if "u" in cloud.axes else 1]
+    level = scene.calibration is not None and scene.calibration.align
     for k in stepped:
         own, item = owner == k, scene.objects[k]
-        for feature in fit_features(cloud.points[own], item.artefact, item.pose, line[own]):
+        placed = cloud.points[own], item.artefact, item.pose, line[own]
+        for feature in fit_features(*placed, level=level):
             if isinstance(feature, StepScore):
                 found[k, feature.name] = feature
     return found

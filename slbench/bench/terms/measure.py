@@ -37,6 +37,7 @@ from slbench.scene.truth import GroundTruth
 from slbench.score.against_part import score_against_part
 from slbench.score.alignment import best_motion
 from slbench.score.features import fit_features
+from slbench.score.levels import parallel_heights
 from slbench.score.residuals import MIN_POINTS
 from slbench.score.values import SpacingScore
 from slbench.simulate.lights import Lights
@@ -246,8 +247,7 @@ def _of_lengths(artefact: Artefact, local: Sequence[Array]) -> Measured:
 def _heights(artefact: Artefact, points: Array) -> list[tuple[float, float]]:
     """Return measured and certified heights of level faces above the lowest one.
 
-    All faces are fitted at once as parallel planes.  How the artefact was aligned does not matter:
-    a staircase that is measured too high looks like one that leans.
+    How the artefact was aligned does not matter (:mod:`slbench.score.levels`).
     """
     faces, own = [], []
     for face in artefact.planes:
@@ -258,15 +258,11 @@ def _heights(artefact: Artefact, points: Array) -> list[tuple[float, float]]:
             own.append(over)
     if len(faces) < 2:
         return []
-    which = np.repeat(np.arange(len(faces)), [len(over) for over in own])
-    whole = np.concatenate(own)
-    design = np.column_stack((np.eye(len(faces))[which], whole[:, :2]))
-    levels = np.linalg.lstsq(design, whole[:, 2], rcond=None)[0]
-    across = float(np.sqrt(1.0 + np.sum(levels[-2:] ** 2)))
     k = int(np.argmin([face.z_mm for face in faces]))
+    heights, _ = parallel_heights(own, [np.arange(len(over)) for over in own], k)
     return [
-        ((float(level) - float(levels[k])) / across, face.z_mm - faces[k].z_mm)
-        for face, level in zip(faces, levels[:-2], strict=True)
+        (float(height), face.z_mm - faces[k].z_mm)
+        for face, height in zip(faces, heights, strict=True)
         if face.z_mm > faces[k].z_mm
     ]
 

@@ -202,7 +202,7 @@ def step_heights(
         for k, rig in enumerate(rigs):
             made = replace(scene, calibration=Calibration(rig=rig, align=True))
             cloud = reconstruct(made, phase, truth).cloud
-            scored = score(cloud, truth, phase, scene.objects, scene.rig)
+            scored = score(cloud, truth, phase, scene.objects, scene.rig, level=True)
             heights[k, r] = [step.measured_mm for step in scored.steps]
     return heights
 
