@@ -68,7 +68,7 @@ def budget(
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
-    """Budget a scene's sources of error, or a measurand's uncertainty."""
+    """Budget errors by source, or the uncertainty of a measurand."""
     from slbench.bench.budget.budget import BUDGET_FOLDER, error_budget, write_budget
 
     if not measurands:

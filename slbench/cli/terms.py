@@ -64,7 +64,7 @@ def terms(
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
-    """Measure what buyers compare: precision, planarity, resolution."""
+    """Measure precision, planarity, trueness, resolution."""
     from slbench.bench.terms.measure import cloud_terms, scene_terms
     from slbench.bench.terms.terms import TERMS_FOLDER, write_terms
     from slbench.objects import load_artefact

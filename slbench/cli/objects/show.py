@@ -29,7 +29,7 @@ def show(
         str | None, typer.Option(help="A material preset, such as brushed-steel.")
     ] = None,
 ) -> None:
-    """Draw an artefact: a shaded render, to scale, and the features that its file declares."""
+    """Draw an artefact to scale, with its declared features."""
     from slbench.core.io import check_output_file
     from slbench.report.plots.draw import object_picture
     from slbench.scene.materials import PRESETS
