@@ -47,6 +47,12 @@ def check(
             help="Baseline to write, or to compare with.  [default: CLAIMS.baseline.json, if there]"
         ),
     ] = None,
+    scored: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Folder of slbench score: judge it instead of scanning; several are repeats."
+        ),
+    ] = None,
     seed: Seed = 0,
     changes: SceneChanges = None,
     measured_with: MeasuredWith = None,
@@ -59,6 +65,19 @@ def check(
 
     Exit status: 0 all hold, 1 one fails, 3 one is undecided.
     """
+    if scored:
+        others = {
+            "--update": update or None,
+            "--baseline": baseline,
+            "--set": changes,
+            "--measured-with": measured_with,
+            "--align": align or None,
+            "--preview": preview or None,
+        }
+        for option, value in others.items():
+            if value is not None:
+                raise InputError(option, "none with --scored, which measures nothing", value)
+        raise typer.Exit(_check_scored(claims, scored, junit, allow_modules, as_json))
     from slbench.bench.claims.baseline import (
         Baseline,
         check_fit,
@@ -142,6 +161,30 @@ def check(
     if refused:
         raise refused
     raise typer.Exit(status)
+
+
+def _check_scored(
+    claims: Path, folders: list[Path], junit: Path | None, allow_modules: bool, as_json: bool
+) -> int:
+    """Judge scores of clouds, show the verdicts and return the exit status."""
+    from slbench.bench.claims.check import exit_status
+    from slbench.bench.claims.junit import write_junit
+    from slbench.bench.claims.scored import check_scored
+
+    if junit is not None:
+        _check_path("--junit", junit, claims)
+    results = check_scored(claims, folders, allow_modules=allow_modules)
+    if junit is not None:
+        write_junit(junit, claims, results)
+    status = exit_status(results)
+    if as_json:
+        print_json(_summary(claims, results, 0, False, status))
+    else:
+        print_table(_table(claims, results))
+        for result in results:
+            if result.outcome != "holds":
+                print(f"{result.claim.name}: {result.line()}")
+    return status
 
 
 def _check_path(option: str, path: Path, *others: Path) -> None:

@@ -7,8 +7,8 @@ the pixel's centre ray truly meets.  Features are fitted to the measured points 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 
 from slbench.cloud.fits.squares import OUTLIER_SIGMAS
 from slbench.cloud.triangulation import PointCloud
+from slbench.core.errors import InputError
 from slbench.core.show.display import block, length, share
 from slbench.core.show.document import Table
+from slbench.core.validation.wording import shown
 from slbench.patterns import PhaseMap
 from slbench.rig import Rig
 from slbench.scene.model import SceneObject
@@ -129,6 +131,27 @@ class Score:
         """Return plain values for JSON."""
         return asdict(self)
 
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> Score:
+        """Return the score that a ``score.json`` holds, whatever else stands in it.
+
+        Raises
+        ------
+        InputError
+            Naming what is missing or is no score's.
+        """
+        given: dict[str, Any] = {}
+        for one in fields(cls):
+            value = stored.get(one.name, [] if one.name in FEATURES else None)
+            if one.name in FEATURES:
+                value = [_restored(FEATURES[one.name], item, one.name) for item in value]
+            elif isinstance(value, Mapping):
+                value = {axis: _number(v) for axis, v in value.items()}
+            else:
+                value = int(value) if one.type == "int" and value is not None else _number(value)
+            given[one.name] = value
+        return cls(**given)
+
 
 def point_errors(cloud: PointCloud, truth: GroundTruth) -> Array:
     """Return measured minus true point, (N, 3), mm; NaN where truth has no lit point."""
@@ -219,6 +242,22 @@ def _pixels(cloud: PointCloud, chosen: NDArray[np.bool_]) -> int:
     u, v = cloud.pixels[chosen].T
     seen[v, u] = True
     return int(np.count_nonzero(seen))
+
+
+def _number(value: Any) -> float:
+    """Return a number of JSON, which has none for NaN."""
+    return float("nan") if value is None else float(value)
+
+
+def _restored(kind: type[FeatureScore], stored: Any, where: str) -> FeatureScore:
+    names = {one.name: one.type for one in fields(kind)}
+    if not isinstance(stored, Mapping) or set(stored) - set(names):
+        raise InputError(where, f"tables of {', '.join(names)}", shown(stored))
+    values: Any = {k: _number(v) if names[k] == "float" else v for k, v in stored.items()}
+    try:
+        return kind(**values)
+    except TypeError as error:
+        raise InputError(where, f"tables of {', '.join(names)}", str(error)) from None
 
 
 def by_kind(features: Iterable[FeatureScore]) -> dict[str, Any]:

@@ -348,21 +348,33 @@ def score_values(scan: Scan, further: Iterable[str] = ()) -> dict[str, float]:
     InputError
         Naming one of these that fails.
     """
-    score = scan.score
-    values = {name: float(getattr(score, name)) for name in _SCALARS}
+    values = values_of_score(scan.score, scan.scene)
     for name in further:
         try:
             values[name] = float(claim_quantities.get(name).value(scan))
         except Exception as error:  # foreign code may fail in any way
             where = f"claim quantity {name!r} of {claim_quantities.origin(name)}"
             raise InputError(where, "a number", repr(error)) from error
-    for name in _BY_AXIS:
-        values |= {f"{name}.{axis}": v for axis, v in getattr(score, name).items()}
     if scan.fusion is not None:
         for part in _FUSED:
             sharpness = vars(getattr(scan.fusion, part))
             values |= {f"fusion.{part}.{name}": float(v) for name, v in sharpness.items()}
-    features = features_of(scan.scene)
+    return values
+
+
+def values_of_score(score: Score, scene: Scene) -> dict[str, float]:
+    """Return the numbers of a score by canonical name; NaN for what was not measured.
+
+    Parameters
+    ----------
+    score : Score
+    scene : Scene
+        That says which features there are.
+    """
+    values = {name: float(getattr(score, name)) for name in _SCALARS}
+    for name in _BY_AXIS:
+        values |= {f"{name}.{axis}": v for axis, v in getattr(score, name).items()}
+    features = features_of(scene)
     for feature in features:
         same = [f for f in features if _plain(f) == _plain(feature)]
         scored = getattr(score, f"{feature.kind}s")

@@ -1,0 +1,157 @@
+"""Claims held against clouds that were scored: real ones, or any (``slbench score``).
+
+One cloud tells a number with the uncertainty that its score states: that of a fit, or the interval
+by tiles.  Two or more are repeats, and judged as repeated scans are.  A claim's scene is not
+measured: it says which features there are.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from slbench.bench.claims.check import Result
+from slbench.bench.claims.file import Claim, load_claims
+from slbench.bench.claims.pools import Pools
+from slbench.bench.claims.quantities import resolve, values_of_score
+from slbench.bench.claims.verdicts import Status, Verdict, judge_each, judge_mean
+from slbench.bench.statistics import Interval
+from slbench.core.errors import InputError, located
+from slbench.core.io import read_json
+from slbench.scene.model import Scene
+from slbench.score.points import Score
+
+Array = NDArray[np.float64]
+
+#: Confidence of the intervals in a score's file.
+_STORED = 0.95
+#: Numbers of a feature and what states their standard uncertainty.
+_UNCERTAINTY = re.compile(r"(radius_|diameter_|angle_|)(?:measured_|error_|deviation_|)(mm|deg)")
+
+
+def check_scored(
+    path: str | Path, folders: Sequence[str | Path], *, allow_modules: bool = False
+) -> list[Result]:
+    """Judge claims by scores of clouds.
+
+    Parameters
+    ----------
+    path : path
+        A claims file.
+    folders : sequence of path
+        That ``slbench score`` wrote (or a scan): ``score.json``.
+    allow_modules : bool
+        Run the Python modules that the file and its scenes name: code of their authors.
+
+    Returns
+    -------
+    list of Result
+        In the order of the file.
+
+    Raises
+    ------
+    InputError
+        Naming a claim that no score tells, or a folder that is none.
+    """
+    claims = load_claims(path, allow_modules=allow_modules)
+    scores = [_read(folder) for folder in folders]
+    pools = Pools(allow_modules=allow_modules)
+    found = []
+    with located(Path(path).name):
+        for claim in claims:
+            where = f'claim "{claim.name}"'
+            if claim.family != "score" or claim.places is not None:
+                expected = "a quantity of a scan at its own place, which a scored cloud tells"
+                raise InputError(where, expected, claim.describe())
+            pools.check(claim)
+            found.append(_judged(claim, pools.scene(claim.settings), scores, where))
+    return found
+
+
+def _read(folder: str | Path) -> dict[str, Any]:
+    path = Path(folder)
+    stored = read_json(path if path.suffix == ".json" else path / "score.json")
+    if not isinstance(stored, dict) or "rms_mm" not in stored:
+        raise InputError(path, "a score as slbench score writes it (score.json)", "another file")
+    with located(path):
+        return stored | {"score": Score.from_dict(stored)}
+
+
+def _judged(claim: Claim, scene: Scene, scores: Sequence[dict[str, Any]], where: str) -> Result:
+    rows = [values_of_score(one["score"], scene) for one in scores]
+
+    def values(quantity: str) -> Array:
+        names = resolve(quantity, scene, where)
+        missing = next((name for name in names if name not in rows[0]), None)
+        if missing is not None:
+            raise InputError(where, "a number that a scored cloud has", missing)
+        return np.array([[row[name] for name in names] for row in rows]).max(axis=1)
+
+    own = values(claim.quantity)
+    others = [
+        np.full(len(own), np.nan) if limit.quantity is None else values(limit.quantity)
+        for limit in claim.limits
+    ]
+    bounds = tuple(limit.of(other) for limit, other in zip(claim.limits, others, strict=True))
+    if len(rows) > 1:
+        pairs = zip(claim.limits, others, strict=True)
+        margins = [limit.margin(own, other) for limit, other in pairs]
+        if claim.each is None:
+            verdict = judge_mean(own, margins, claim.confidence)
+        else:
+            verdict = judge_each(own, margins, claim.confidence, claim.each)
+    else:
+        verdict = _of_one(claim, resolve(claim.quantity, scene, where), scores[0], rows[0], where)
+    return Result(claim, verdict, own, bounds, 0.0)
+
+
+def _of_one(
+    claim: Claim, names: Sequence[str], stored: dict[str, Any], row: dict[str, float], where: str
+) -> Verdict:
+    """Judge by the uncertainty that one score states."""
+    if claim.each is not None or any(limit.quantity for limit in claim.limits):
+        expected = "two scored clouds or more for shares and bounds that are measured"
+        raise InputError(where, expected, "one")
+    intervals = [_interval(name, stored, row, claim.confidence, where) for name in names]
+    measured = max(intervals, key=lambda one: one.value)
+    if np.isnan([one.value for one in intervals]).any():
+        none = Interval(float("nan"), float("nan"), float("nan"))
+        return Verdict("fails", 1, 1, none, none)
+    whole = Interval(measured.value, *(max(one[k] for one in intervals) for k in (1, 2)))
+    margins = []
+    for limit in claim.limits:
+        ends = sorted(limit.sign * (limit.factor - end) for end in whole[1:])
+        margins.append(Interval(limit.sign * (limit.factor - whole.value), *ends))
+    nearest = min(margins, key=lambda one: one.low)
+    status: Status = "undecided"
+    if any(one.high < 0.0 for one in margins):
+        status = "fails"
+    elif nearest.low >= 0.0:
+        status = "holds"
+    return Verdict(status, 1, 0, whole, nearest)
+
+
+def _interval(
+    name: str, stored: dict[str, Any], row: dict[str, float], confidence: float, where: str
+) -> Interval:
+    value, quantile = row[name], float(norm.ppf(0.5 + 0.5 * confidence))
+    known = stored.get("intervals", {}).get(name)
+    if known is not None:
+        wider = quantile / float(norm.ppf(0.5 + 0.5 * _STORED))
+        low, high = (value + wider * (float(end) - value) for end in known)
+        return Interval(value, low, high)
+    head, _, last = name.rpartition(".")
+    match = _UNCERTAINTY.fullmatch(last)
+    u = row.get(f"{head}.{match[1]}uncertainty_{match[2]}") if match and head else None
+    if u is None:
+        expected = "two scored clouds or more: one does not tell an interval of it"
+        raise InputError(where, expected, f"one, of {name}")
+    low = value - quantile * u
+    # A magnitude is not negative.
+    return Interval(value, max(low, 0.0) if "error" in last else low, value + quantile * u)

@@ -1,0 +1,136 @@
+"""Claims held against scored clouds, without a renderer."""
+
+import json
+
+import numpy as np
+import pytest
+import tomli_w
+from scenes_small import run_cli, write_scene
+
+import slbench as sl
+from slbench.bench.claims.scored import check_scored
+from slbench.core.errors import InputError
+from slbench.score.points import Score
+from slbench.score.scored import write_cloud_score
+
+BLOCK = sl.load_artefact("step-block-5")
+
+
+def scored(folder, *, scale=1.0, noise=0.002, seed=0):
+    """Score a cloud of the block's upper faces and its sides, heights scaled, and write it."""
+    rng = np.random.default_rng(seed)
+    mesh = BLOCK.mesh
+    faces = rng.choice(len(mesh.faces), 20_000, p=mesh.face_areas / mesh.face_areas.sum())
+    corners = mesh.vertices[mesh.faces[faces]]
+    points = np.einsum("nk,nkd->nd", rng.dirichlet((1, 1, 1), len(faces)), corners)
+    points = points * [1, 1, scale] + rng.normal(0.0, noise, points.shape)
+    path = folder.parent / f"{folder.name}.npy"
+    np.save(path, points)
+    found = sl.score_cloud(path, artefact=BLOCK, placed=True, expected_um=20.0)
+    write_cloud_score(found, folder, picture=False)
+    return found
+
+
+def claims_in(tmp_path, *tables):
+    write_scene(tmp_path)
+    base = {"scene": "small.toml", "name": "one", "quantity": "step[5].error_mm"}
+    path = tmp_path / "some.claims.toml"
+    path.write_text(tomli_w.dumps({"claim": [base | one for one in tables]}))
+    return path
+
+
+def test_a_score_is_read_back(tmp_path):
+    found = scored(tmp_path / "a")
+    again = Score.from_dict(json.loads((tmp_path / "a" / "score.json").read_text()))
+    assert repr(again) == repr(found.score)
+    assert again.steps == found.score.steps
+    assert again.planes == found.score.planes
+
+
+def test_one_cloud_is_judged_by_its_uncertainty(tmp_path):
+    found = scored(tmp_path / "a", scale=1.01)
+    (step,) = (s for s in found.score.steps if s.nominal_mm == 5.0)
+    u = 1.959964 * step.uncertainty_mm
+    assert step.error_mm == pytest.approx(0.05, abs=4 * step.uncertainty_mm)
+    path = claims_in(
+        tmp_path,
+        {"name": "holds", "max": step.error_mm + 1.01 * u},
+        {"name": "near", "max": step.error_mm + 0.9 * u},
+        {"name": "fails", "max": step.error_mm - 1.01 * u},
+        {"name": "above", "min": step.error_mm - 1.01 * u},
+        {"name": "bias", "quantity": "step[5].deviation_mm", "within": [0.0, 0.1]},
+        {"name": "largest", "quantity": "step[*].error_mm", "max": 0.1},
+        {"name": "points", "quantity": "rms_mm", "max": 0.1},
+    )
+    results = check_scored(path, [tmp_path / "a"])
+    outcomes = {result.claim.name: result.outcome for result in results}
+    assert outcomes == {
+        "holds": "holds",
+        "near": "undecided",
+        "fails": "fails",
+        "above": "holds",
+        "bias": "holds",
+        "largest": "holds",
+        "points": "holds",
+    }
+    measured = results[0].verdict.measured
+    assert measured.high - measured.value == pytest.approx(u, rel=1e-5)
+    low, high = found.intervals["rms_mm"]
+    assert tuple(results[-1].verdict.measured) == pytest.approx(
+        (found.score.rms_mm, low, high), rel=1e-9
+    )
+
+
+def test_several_clouds_are_repeats(tmp_path):
+    folders = [tmp_path / f"cloud{k}" for k in range(4)]
+    found = [scored(folder, seed=k) for k, folder in enumerate(folders)]
+    path = claims_in(
+        tmp_path,
+        {"max": 0.01},
+        {"name": "form", "quantity": "plane[*].flatness_mm", "max": 1.0},
+        {"name": "relative", "max": "100 * step[2.5].error_mm"},
+    )
+    results = check_scored(path, folders)
+    errors = [s.error_mm for one in found for s in one.score.steps if s.nominal_mm == 5.0]
+    assert results[0].values == pytest.approx(errors, rel=1e-9)
+    assert [one.verdict.repeats for one in results] == [4, 4, 4]
+    assert [one.outcome for one in results[:2]] == ["holds", "holds"]
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"quantity": "plane[*].flatness_mm", "max": 1.0}, "two scored clouds or more"),
+        ({"max": "2 * step[2.5].error_mm"}, "two scored clouds or more"),
+        ({"max": 1.0, "each": True}, "two scored clouds or more"),
+        ({"max": 1.0, "places": 4}, "at its own place"),
+        ({"quantity": "set[1,8].rms_mm", "max": 1.0}, "at its own place"),
+        ({"quantity": "floor_rms_px", "max": 1.0}, "a number that a scored cloud has"),
+        ({"quantity": "step[7].error_mm", "max": 1.0}, "a quantity that there is"),
+    ],
+)
+def test_what_one_score_does_not_tell_is_refused(tmp_path, keys, words):
+    scored(tmp_path / "a")
+    with pytest.raises(InputError) as caught:
+        check_scored(claims_in(tmp_path, keys), [tmp_path / "a"])
+    assert words in str(caught.value)
+
+
+def test_a_folder_that_is_no_score_is_refused(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "score.json").write_text('{"kind": "other"}')
+    with pytest.raises(InputError, match="slbench score writes it"):
+        check_scored(claims_in(tmp_path, {"max": 1.0}), [tmp_path / "a"])
+
+
+def test_the_command_says_and_writes_the_verdicts(tmp_path):
+    scored(tmp_path / "a", scale=1.01)
+    path = claims_in(tmp_path, {"max": 0.02})
+    junit = tmp_path / "report.xml"
+    done = run_cli("check", str(path), "--scored", str(tmp_path / "a"), "--junit", str(junit))
+    assert done.status == 1
+    assert "fails" in done.out
+    assert 'type="fails"' in junit.read_text()
+    refused = run_cli("check", str(path), "--scored", str(tmp_path / "a"), "--preview")
+    assert refused.status == 2
+    assert "--preview" in refused.err
