@@ -48,6 +48,8 @@ _STILL = 1e-5
 TUKEY = 4.685
 #: Motions that move the surface less than this share of the others are not told by it.
 TOLD = 5e-3
+#: Sides of a box that differ by less, as a share of the longest, look alike.
+_ALIKE = 0.1
 #: Points that starts are compared with, and that the best one is refined with.
 _COARSE, _FINE = 2000, 40_000
 #: Distance of points that are of the part, once it is placed roughly, as a share of its size.
@@ -133,6 +135,9 @@ def place_on_surface(
                 break
             other = _best(mesh, surface, fine, side)
             best = _better(surface, clouds_of(fine), best, other)
+        for rival in rivals(surface.bounds, best.pose):
+            other = _refined(surface, fine[:_COARSE], rival)
+            best = _better(surface, clouds_of(fine), best, other)
     # From here on, what is not near is something else.
     reach = _NEAR * surface.size_mm
     near, local = TUKEY * best.scale_mm, best.pose.to_local(fine)
@@ -151,6 +156,30 @@ def place_on_surface(
         pose = _by_extent(surface, own, pose, weak, reach, share)
         pose = _refined(surface, own, pose, reach, told).pose
     return _refined(surface, fine, pose, reach, told, STILL)
+
+
+def rivals(bounds: Array, pose: Pose) -> list[Pose]:
+    """Return a part's other poses in the same box, turned by quarters about the box's axes.
+
+    A part that is nearly its own image there has most of its surface in common with it.
+
+    Parameters
+    ----------
+    bounds : (2, 3) float
+        Lowest and highest corner of the part's box, in its frame.
+    pose : Pose
+    """
+    from scipy.spatial.transform import Rotation
+
+    middle, extent = bounds.mean(axis=0), np.ptp(bounds, axis=0)
+    found = []
+    for turn in Rotation.create_group("O").as_matrix():
+        turned = np.abs(turn) @ extent
+        same = np.all(np.abs(turned - extent) <= _ALIKE * extent.max())
+        if same and not np.allclose(turn, np.eye(3)):
+            whole = pose.rotation @ turn
+            found.append(Pose(whole, pose.position + pose.rotation @ middle - whole @ middle))
+    return found
 
 
 def _weak(surface: Surface, points: Array, pose: Pose) -> Array:

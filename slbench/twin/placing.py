@@ -32,6 +32,7 @@ from slbench.score.placing import (
     least_motion,
     motion_rows,
     moved,
+    rivals,
     tukey,
     usual,
 )
@@ -134,7 +135,15 @@ def place(artefact: Artefact, cloud: PointCloud, rig: Rig, start: Pose | None = 
         )
     # The most points near the surface: near is what the best one calls so.
     near = TUKEY * min(one.scale for one in tried)
-    first = max(tried, key=lambda one: np.count_nonzero(np.abs(one.residual) <= near))
+
+    def count(one: _Seen) -> int:
+        return int(np.count_nonzero(np.abs(one.residual) <= near))
+
+    first = max(tried, key=count)
+    if start is None and artefact.kind != "plane":
+        turned = rivals(artefact.mesh.bounds, first.pose)
+        seen_too = (_refined(coarse, one) for one in turned)
+        first = max([first, *(one for one in seen_too if one is not None)], key=count)
     best, weak = first.pose, first.step(_WEAK)[1]
     if artefact.kind != "plane" and np.linalg.norm(weak[:3]) > _SHIFTS:
         # An edge along a column is as sharp as pixels are near to each other across it.

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from datasets_small import result_of
 from scipy.spatial.transform import Rotation
 
@@ -12,8 +13,9 @@ import slbench as sl
 from slbench.cloud import MeasuredCloud, write_cloud
 from slbench.core.errors import InputError, InputWarning
 from slbench.core.io import read_json, write_exr, write_npz
-from slbench.objects import load_artefact
+from slbench.objects import Mesh, load_artefact
 from slbench.rig import Pose
+from slbench.score.placing import place_on_surface
 from slbench.score.surface import Surface
 from slbench.simulate.folder import write_scan
 
@@ -167,6 +169,23 @@ def test_an_artefact_is_found_wherever_it_is(block, view, outliers):
     for step in result.score.steps:
         assert abs(step.deviation_mm) < 5.0 * step.uncertainty_mm
     assert len(result.score.steps) == len(block.steps)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_part_that_is_nearly_its_own_image_is_not_turned_about(seed):
+    # A plate of 60 x 30 x 5 mm whose faces are the same after half a turn, but for a boss.
+    boss = trimesh.creation.box((12.0, 8.0, 6.0), transform=np.eye(4))
+    boss.apply_translation((18.0, 8.0, 5.5))
+    plate = trimesh.boolean.union([trimesh.creation.box((60.0, 30.0, 5.0)), boss])
+    rng = np.random.default_rng(seed)
+    points, face = trimesh.sample.sample_surface(plate, 8000, seed=seed)
+    turn = Pose(Rotation.random(rng=rng).as_matrix(), rng.normal(0.0, 50.0, 3))
+    seen = points[plate.face_normals[face] @ [0.2, -0.3, 0.9] > 0.1]
+    seen = seen + rng.normal(0.0, 0.005, seen.shape)
+    mesh = Mesh(plate.vertices, plate.faces)
+    found = place_on_surface(turn.to_world(seen), mesh, Surface(mesh))
+    off = np.linalg.norm(found.pose.to_local(turn.to_world(seen)) - seen, axis=1)
+    assert off.max() < 0.01  # a turn would be off by 60 mm
 
 
 def test_where_faces_do_not_tell_the_place_their_ends_do(block):
