@@ -174,7 +174,9 @@ class Principled(Bsdf):
     """Paint, plastic and metal in one: diffuse base, microfacets, clear coat.
 
     B. Burley, "Physically based shading at Disney", SIGGRAPH courses 2012, in Mitsuba's form; the
-    metals and plastics of glTF are close to it.
+    metals and plastics of glTF are close to it.  Its diffuse and specular parts are added without
+    regard for each other: a dielectric of an albedo of 0.9 reflects 0.94 of the light at right
+    angles, 0.98 at 60 degrees, and more than all of it beyond 75; one of 1.0 always does.
 
     Parameters
     ----------

@@ -55,7 +55,9 @@ def list_objects(
         )
         return
     table = Table(title="Artefacts")
-    for column in ("name", "size / mm", "certified dimensions"):
+    # A name is there to be copied.
+    table.add_column("name", no_wrap=True)
+    for column in ("size / mm", "certified dimensions"):
         table.add_column(column)
     for item in found:
         size = item.mesh.bounds[1] - item.mesh.bounds[0]

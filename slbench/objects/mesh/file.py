@@ -1,7 +1,8 @@
 """A mesh from a file, for objects that no parametric artefact describes.
 
-STL, PLY, OBJ, OFF, GLB and glTF, and STEP where cascadio is installed, read by trimesh.  Mesh
-files do not say what their numbers mean, so the unit is a parameter without a default.
+STL, PLY, OBJ, OFF, GLB and glTF, and STEP where the extra ``step`` (cascadio) is installed, read by
+trimesh.  Mesh files do not say what their numbers mean, so the unit is a parameter without a
+default.
 
 Object frame: the file's own axes, scaled to millimetres; with ``centre``, moved so that the
 middle of the bounding box is at x = y = 0 and its bottom at z = 0.

@@ -77,7 +77,7 @@ def test_both_are_sets_of_one_comparison(scene, tmp_path):
         ("gray+16@3 | gamma=-1", "a number > 0"),
         ("gray+16@3 | gamma=two", "a number > 0"),
         ("gray+16@3 | response=none.csv", "none.csv"),
-        ("gray+trapezoid8 | gamma=2.2", "trapezoid"),
+        ("gray+modulated8@3 | gamma=2.2", "modulated"),
         ("gray+16@3 | gamma=9", "two phases look alike"),
     ],
 )
