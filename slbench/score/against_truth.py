@@ -238,7 +238,7 @@ def score_against_truth(
     pixels = pixels[inside]
     triangulated, phase = _as_triangulated(seen, on_rays[inside], pixels, rig, against.axes)
     errors = _ray_errors(seen.points, on_rays[inside], pixels, against)
-    result = _scored(seen, triangulated, phase, errors, against, expected_um)
+    result = _scored(seen, triangulated, phase, errors, against, expected_um, align)
     return replace(result, motion=motion, free=free)
 
 
@@ -312,6 +312,7 @@ def _scored(
     errors: Array,
     against: ScannedTruth,
     expected_um: float | None,
+    aligned: bool = False,
 ) -> CloudScore:
     """Score points whose errors are known; refuse those of another part."""
     truth = against.truth
@@ -319,7 +320,8 @@ def _scored(
     away = np.linalg.norm(errors, axis=1)
     expected = expected_deviations(cloud, away, size, expected_um)
     share = check_part(cloud, away, expected, f"what {against.name} scanned")
-    found = score(triangulated, truth, phase, against.objects, against.rig, errors)
+    level = aligned or against.motion is not None
+    found = score(triangulated, truth, phase, against.objects, against.rig, errors, level)
     if "u" not in cloud.scalars and "sigma" not in cloud.scalars:
         nan = float("nan")
         found = replace(found, predicted_sigma_mm=nan, predicted_u_mm=nan)

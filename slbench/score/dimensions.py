@@ -74,11 +74,10 @@ def _verdict(dimension: Dimension, measured: float, own: float, noise: float) ->
     if lower is None and upper is None:
         return ""
     deviation = measured - dimension.nominal
-    unsure = _K * float(np.hypot(own, dimension.uncertainty))
-    # What noise may have added to a form is no uncertainty to either side.
-    least, most = deviation - unsure, deviation + unsure
-    if dimension.type in FORMS:
-        least, most = deviation - noise, deviation
+    # What noise may have added to a width is no uncertainty to either side.
+    apart = max(own**2 - noise**2 / 12.0, 0.0)
+    unsure = _K * float(np.hypot(np.sqrt(apart), dimension.uncertainty))
+    least, most = deviation - noise - unsure, deviation + unsure
     if (lower is None or least >= lower) and (upper is None or most <= upper):
         return "within"
     if (lower is not None and most < lower) or (upper is not None and least > upper):

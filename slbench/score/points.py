@@ -142,13 +142,20 @@ class Score:
         """
         given: dict[str, Any] = {}
         for one in fields(cls):
-            value = stored.get(one.name, [] if one.name in FEATURES else None)
+            value = stored.get(one.name)
             if one.name in FEATURES:
+                value = [] if value is None else value
+                if not isinstance(value, list):
+                    raise InputError(one.name, "a list of features", shown(value))
                 value = [_restored(FEATURES[one.name], item, one.name) for item in value]
             elif isinstance(value, Mapping):
                 value = {axis: _number(v) for axis, v in value.items()}
             else:
-                value = int(value) if one.type == "int" and value is not None else _number(value)
+                value = (
+                    int(_number(value))
+                    if one.type == "int" and value is not None
+                    else _number(value)
+                )
             given[one.name] = value
         return cls(**given)
 
@@ -246,6 +253,8 @@ def _pixels(cloud: PointCloud, chosen: NDArray[np.bool_]) -> int:
 
 def _number(value: Any) -> float:
     """Return a number of JSON, which has none for NaN."""
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+        raise InputError("score", "numbers", shown(value))
     return float("nan") if value is None else float(value)
 
 

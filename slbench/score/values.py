@@ -30,7 +30,8 @@ class StepScore(_Length):
 
     ``measured_mm`` is the difference between the least-squares planes of step and reference,
     each taken over the middle of its own face, along the object's z axis (thesis 6.2.3: the
-    block is aligned with the stage); ``std_mm`` the standard deviation of the step's points
+    block is aligned with the stage), or between parallel planes where the part was placed by its
+    own points; ``std_mm`` the standard deviation of the step's points
     about their plane; ``uncertainty_mm`` the standard uncertainty of the height that the
     points' scatter leaves.
     """

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import trimesh
 from datasets_small import result_of
+from scenes_small import small
 from scipy.spatial.transform import Rotation
 
 import slbench as sl
@@ -15,9 +16,12 @@ from slbench.core.errors import InputError, InputWarning
 from slbench.core.io import read_json, write_exr, write_npz
 from slbench.objects import Mesh, load_artefact
 from slbench.rig import Pose
+from slbench.rig.parameters import ParameterCovariance
+from slbench.scene.calibration import Calibration
 from slbench.score.placing import place_on_surface
 from slbench.score.surface import Surface
 from slbench.simulate.folder import write_scan
+from slbench.simulate.scan import scan
 
 NOISE = 0.01
 #: From where a top and two sides are seen.
@@ -80,6 +84,19 @@ def test_a_scans_own_cloud_has_the_scans_own_score(scanned):
     same_score(result.to_dict(), stored, 2e-4)
     for name, (low, high) in result.intervals.items():
         assert low <= stored[name] <= high
+
+
+def test_a_scan_that_was_aligned_has_its_own_score(tmp_path):
+    known = ParameterCovariance.of({"camera.fx_px": 2.0, "projector.ry_rad": 2e-3})
+    calibration = Calibration(covariance=known, align=True, source="drawn")
+    made = scan(replace(small("step-block"), calibration=calibration))
+    write_scan(made, tmp_path / "scan", picture=False)
+    found = sl.score_cloud(tmp_path / "scan", truth=tmp_path / "scan").score
+    assert len(found.steps) == 3
+    for own, again in zip(made.score.steps, found.steps, strict=True):
+        # Single precision of the file, by a slope over some 40 mm.
+        assert again.measured_mm == pytest.approx(own.measured_mm, abs=5e-4)
+        assert again.uncertainty_mm == pytest.approx(own.uncertainty_mm, rel=0.05)
 
 
 def test_the_order_of_points_does_not_matter(scanned):

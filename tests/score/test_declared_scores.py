@@ -202,6 +202,15 @@ def test_noise_widens_a_form_by_what_is_said_of_it():
     assert one.verdict == "outside"
 
 
+def test_noise_widens_a_parallelism_as_it_does_a_form():
+    keys = {"type": "parallelism", "of": ("pin top", "top"), "nominal": 0.0, "upper": 0.02}
+    points = plate_points(np.random.default_rng(6), 4000, noise=0.01)
+    one = scores(points, with_dimension(**keys))["Dimension", "d"]
+    # The faces are parallel: all of the width is noise's.
+    assert one.measured > 0.04
+    assert one.verdict == "undecided"
+
+
 def test_a_cloud_of_any_origin_is_measured_alike():
     rng = np.random.default_rng(10)
     points = plate_points(rng, 3000, noise=0.005)

@@ -120,6 +120,8 @@ class Result:
 
     def advice(self) -> str:
         """Return how many repeats would decide, in words."""
+        if self.verdict.repeats == 1:
+            return "one cloud does not decide: score more"
         count = self.verdict.decide
         if count is None:
             return f"not even {MAX_REPEATS} repeats would decide: it is at the bound"

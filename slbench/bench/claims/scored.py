@@ -80,7 +80,7 @@ def _read(folder: str | Path) -> dict[str, Any]:
     if not isinstance(stored, dict) or "rms_mm" not in stored:
         raise InputError(path, "a score as slbench score writes it (score.json)", "another file")
     with located(path):
-        return stored | {"score": Score.from_dict(stored)}
+        return stored | {"score": Score.from_dict(stored), "folder": str(folder)}
 
 
 def _judged(claim: Claim, scene: Scene, scores: Sequence[dict[str, Any]], where: str) -> Result:
@@ -88,9 +88,11 @@ def _judged(claim: Claim, scene: Scene, scores: Sequence[dict[str, Any]], where:
 
     def values(quantity: str) -> Array:
         names = resolve(quantity, scene, where)
-        missing = next((name for name in names if name not in rows[0]), None)
-        if missing is not None:
-            raise InputError(where, "a number that a scored cloud has", missing)
+        for one, row in zip(scores, rows, strict=True):
+            missing = next((name for name in names if name not in row), None)
+            if missing is not None:
+                expected = f"a number that the scored cloud {one['folder']} has"
+                raise InputError(where, expected, missing)
         return np.array([[row[name] for name in names] for row in rows]).max(axis=1)
 
     own = values(claim.quantity)
@@ -142,7 +144,7 @@ def _interval(
 ) -> Interval:
     value, quantile = row[name], float(norm.ppf(0.5 + 0.5 * confidence))
     known = stored.get("intervals", {}).get(name)
-    if known is not None:
+    if known is not None and None not in known:
         wider = quantile / float(norm.ppf(0.5 + 0.5 * _STORED))
         low, high = (value + wider * (float(end) - value) for end in known)
         return Interval(value, low, high)

@@ -85,6 +85,8 @@ def cloud_of(
     used = unit or written or usual
     scale = MILLIMETRES[used]
     points = np.stack([np.asarray(named.pop(axis), np.float64) for axis in "xyz"], axis=1)
+    if "v" in named and "u" in named:  # pixels or texture coordinates, no uncertainty
+        named["pixel_u"], named["pixel_v"] = named.pop("u"), named.pop("v")
     normals = _normals(named)
     grey = _grey(named)
     scalars = {}

@@ -105,7 +105,7 @@ def test_several_clouds_are_repeats(tmp_path):
         ({"max": 1.0, "each": True}, "two scored clouds or more"),
         ({"max": 1.0, "places": 4}, "at its own place"),
         ({"quantity": "set[1,8].rms_mm", "max": 1.0}, "at its own place"),
-        ({"quantity": "floor_rms_px", "max": 1.0}, "a number that a scored cloud has"),
+        ({"quantity": "floor_rms_px", "max": 1.0}, "a number that the scored cloud"),
         ({"quantity": "step[7].error_mm", "max": 1.0}, "a quantity that there is"),
     ],
 )
@@ -121,6 +121,28 @@ def test_a_folder_that_is_no_score_is_refused(tmp_path):
     (tmp_path / "a" / "score.json").write_text('{"kind": "other"}')
     with pytest.raises(InputError, match="slbench score writes it"):
         check_scored(claims_in(tmp_path, {"max": 1.0}), [tmp_path / "a"])
+
+
+@pytest.mark.parametrize("steps", [{"a": 1}, "none", [{"height": 1.0}], ["step"]])
+def test_a_damaged_score_is_refused_in_one_line(tmp_path, steps):
+    scored(tmp_path / "a")
+    path = tmp_path / "a" / "score.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"steps": steps}))
+    with pytest.raises(InputError, match="steps"):
+        check_scored(claims_in(tmp_path, {"max": 1.0}), [tmp_path / "a"])
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"steps": [], "rms_mm": "x"}))
+    with pytest.raises(InputError, match="numbers"):
+        check_scored(claims_in(tmp_path, {"max": 1.0}), [tmp_path / "a"])
+
+
+def test_an_interval_that_is_not_known_needs_more_clouds(tmp_path):
+    scored(tmp_path / "a")
+    path = tmp_path / "a" / "score.json"
+    stored = json.loads(path.read_text())
+    path.write_text(json.dumps(stored | {"intervals": {"rms_mm": [None, None]}}))
+    claims = claims_in(tmp_path, {"quantity": "rms_mm", "max": 1.0})
+    with pytest.raises(InputError, match="two scored clouds or more"):
+        check_scored(claims, [tmp_path / "a"])
 
 
 def test_the_command_says_and_writes_the_verdicts(tmp_path):

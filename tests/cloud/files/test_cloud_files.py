@@ -193,6 +193,16 @@ def test_what_is_no_cloud_is_refused_in_a_line(tmp_path, name, content, words):
     assert "\n" not in str(refused.value)
 
 
+def test_pixels_of_points_are_no_uncertainty(tmp_path):
+    path = tmp_path / "cloud.csv"
+    path.write_text("x,y,z,u,v\n1,2,3,640,480\n4,5,6,641,480\n")
+    scalars = sl.read_cloud(path).scalars
+    assert "u" not in scalars
+    assert scalars["pixel_u"].tolist() == [640.0, 641.0]
+    path.write_text("x,y,z,u\n1,2,3,0.01\n4,5,6,0.02\n")
+    assert sl.read_cloud(path).scalars["u"].tolist() == [0.01, 0.02]
+
+
 def test_a_unit_that_the_header_contradicts_is_refused(tmp_path):
     (tmp_path / "a.csv").write_text("x_mm,y_mm,z_mm\n1,2,3\n")
     with pytest.raises(InputError, match="coordinates in mm"):
