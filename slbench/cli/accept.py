@@ -123,6 +123,11 @@ def accept(
         for option, value in given.items():
             if value:
                 raise InputError(option, "none with a folder: it is of scenes", option)
+        from slbench.bench.accept.specification import read_specification
+
+        if mpe is not None and (own := read_specification(mpe).standards):
+            expected = "limits alone with a folder: its certificates stand in places.toml"
+            raise InputError(f"--mpe {mpe}", expected, ", ".join(f"[standards.{k}]" for k in own))
     else:
         loaded = load_changed(
             scene,

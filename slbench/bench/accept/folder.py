@@ -37,6 +37,8 @@ from slbench.score.features import MAX_INCIDENCE, MIN_POINTS, core, fit_sphere
 
 Array = NDArray[np.float64]
 
+#: Sides of a plate that is found, as shares of the certified ones.
+_LEAST_PLATE, _LARGEST_PLATE = 0.7, 1.2
 #: Trial balls, points that they are tried on, and how near to one a point counts, of its radius.
 _TRIALS, _TRIED, _NEAR = 300, 3000, 0.04
 #: Distance from a ball's surface within which points are its own, and from a plate's plane, as a
@@ -269,8 +271,11 @@ def _plate(points: Points, standard: Standard) -> Points:
     local = fit.design[:, 1:]
     box = cv2.minAreaRect(local.astype(np.float32))
     middle, sides, turn = np.array(box[0]), np.array(box[1]), np.deg2rad(box[2])
-    if sides.max() > 1.2 * max(standard.size_mm):
-        got = f"a plane of {sides[0]:.4g} x {sides[1]:.4g} mm: another unit, or a table?"
+    # A cloud may lack the edges of a plate, not a third of it.
+    share = np.sort(sides) / np.sort(standard.size_mm)
+    if share.max() > _LARGEST_PLATE or share.min() < _LEAST_PLATE:
+        got = f"a plane of {sides[0]:.4g} x {sides[1]:.4g} mm"
+        got += ": another unit, a part of it, or a table?"
         expected = f"a plate of {standard.size_mm[0]:g} x {standard.size_mm[1]:g} mm"
         raise InputError("cloud", expected, got)
     across = product(

@@ -85,7 +85,8 @@ class Star:
     ----------
     name : str
     period_mm : float
-        Lateral period limit; NaN where the transfer stays above a half.
+        Lateral period limit; NaN where the transfer stays above a half, infinite where it is below
+        a half at the coarsest period.
     finest_mm : float
         Smallest period that was sampled.
     periods, transfer, error : (k,) float
@@ -226,7 +227,7 @@ def star_transfer(
     if not periods:
         raise InputError(name, f"{_LEAST_RING} points on a ring", "fewer")
     period, share = np.array(periods), np.array(transfer)
-    limit = _half_of(1.0 / period[::-1], share[::-1])
+    limit = np.inf if share[-1] < HALF else _half_of(1.0 / period[::-1], share[::-1])
     return Star(name, limit, float(period[0]), period, share, np.array(errors))
 
 

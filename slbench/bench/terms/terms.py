@@ -89,8 +89,11 @@ class Terms:
                 ("dimension trueness error", f"{value:+.3g} %", f"{low:+.3g} to {high:+.3g} %")
             )
         for star in self.stars:
-            coarse = not np.isfinite(star.period_mm)
-            value = f"finer than {length(star.finest_mm)}" if coarse else length(star.period_mm)
+            value = length(star.period_mm)
+            if np.isnan(star.period_mm):
+                value = f"finer than {length(star.finest_mm)}"
+            elif np.isinf(star.period_mm):
+                value = f"coarser than {length(float(star.periods[-1]))}"
             found.append(("spatial resolution, star", value, f"from {length(star.finest_mm)}"))
         for edge in self.edges:
             value = f"{length(edge.period_mm)}; 10-90 % in {length(edge.width_mm)}"
@@ -123,7 +126,13 @@ class Terms:
             "patch_mm": None if flat is None else flat.patch_mm,
             "dimension_trueness_error": None if self.dimension is None else vars(self.dimension),
             "stars": [
-                {"name": one.name, "period_mm": one.period_mm, "finest_mm": one.finest_mm}
+                {
+                    "name": one.name,
+                    "period_mm": one.period_mm,
+                    "finest_mm": one.finest_mm,
+                    "coarsest_mm": float(one.periods[-1]),
+                    "resolved": not np.isinf(one.period_mm),
+                }
                 for one in self.stars
             ],
             "edges": [

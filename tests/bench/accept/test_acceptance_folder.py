@@ -149,6 +149,28 @@ def test_another_unit_is_noticed(tmp_path):
     assert abs(accept_folder(folder)["sphere_spacing"].worst.value.error_mm) < 0.001
 
 
+@pytest.mark.parametrize("scale", [1.0 / 25.4, 0.1])
+def test_a_plate_in_another_unit_or_a_scrap_of_one_is_refused(tmp_path, scale):
+    rng = np.random.default_rng(4)
+    flat = np.column_stack((rng.uniform((-24, -20), (24, 20), (4000, 2)), np.zeros(4000)))
+    clouds = {"plate.xyz": flat * scale}
+    tables = {"standards": {"plane": PLATE}, "place": places("plane", clouds)}
+    with pytest.raises(InputError, match="another unit, a part of it"):
+        accept_folder(write(tmp_path / "small", clouds, **tables))
+
+
+def test_certificates_of_a_folder_stand_in_its_own_file(tmp_path):
+    clouds = {"bar.xyz": bar(1)}
+    tables = {"standards": {"ball_bar": BAR}, "place": places("ball_bar", clouds)}
+    folder = write(tmp_path / "bar", clouds, **tables)
+    limits = tmp_path / "limits.toml"
+    certificate = "[standards.ball_bar]\ndiameter_mm = 10.0\nspacing_mm = 40.0\n"
+    limits.write_text(f"[mpe]\nlength_um = 50\n{certificate}")
+    done = run_cli("accept", str(folder), "--mpe", str(limits))
+    assert done.status == 2
+    assert "limits alone with a folder" in done.err
+
+
 def test_a_table_is_no_plate(tmp_path):
     clouds = {"table.xyz": table(np.random.default_rng(0))}
     folder = write(

@@ -104,6 +104,7 @@ class TestStar:
             star(lambda period, phase: 0.0 * phase, noise=0.05), 36, HEIGHT, (1.0, 12.0)
         )
         assert np.all(found.transfer < 4 * found.error)
+        assert found.period_mm == np.inf  # coarser than all that was sampled, not finer
 
     def test_too_few_points(self):
         with pytest.raises(InputError, match="40 points on a ring"):
