@@ -75,8 +75,8 @@ from .scene.materials import Material as Material
 from .scene.model import Scene as Scene
 from .scene.model import SceneObject as SceneObject
 from .scene.truth import GroundTruth as GroundTruth
+from .score.clouds.scored import score_cloud as score_cloud
 from .score.points import Score as Score
-from .score.scored import score_cloud as score_cloud
 from .simulate.render.backend.llvm import BackendError as BackendError
 from .simulate.scan import Scan as Scan
 from .simulate.scan import scan as scan

@@ -70,7 +70,7 @@ def score(
     if len(named) != 1:
         expected = "one of --truth FOLDER, --artefact NAME and --mesh FILE"
         raise InputError("reference", expected, " and ".join(named) or "none")
-    from slbench.score.scored import CLOUD_SCORE_FOLDER, score_cloud, write_cloud_score
+    from slbench.score.clouds.scored import CLOUD_SCORE_FOLDER, score_cloud, write_cloud_score
 
     target = out or (measured if measured.is_dir() else measured.parent) / "scored"
     CLOUD_SCORE_FOLDER.check(target, "--out")

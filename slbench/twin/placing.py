@@ -1,8 +1,9 @@
 """An object of known shape placed by a measured cloud.
 
 A start is looked for by shape alone: for a plane the plane of most points, otherwise as
-:mod:`slbench.score.placing` does.  It is refined as there, but by what the camera's rays meet, so
-that nothing but visible surface counts: q, n are the point and normal that a pixel's ray meets.
+:mod:`slbench.score.clouds.placing` does.  It is refined as there, but by what the camera's rays
+meet, so that nothing but visible surface counts: q, n are the point and normal that a pixel's ray
+meets.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from slbench.objects import Artefact
 from slbench.rig import Pose, Rig
 from slbench.rig.pose import product
 from slbench.scene.model import SceneObject
-from slbench.score.placing import (
+from slbench.score.clouds.placing import (
     LEAST,
     STEPS,
     STILL,

@@ -15,7 +15,7 @@ import slbench as sl
 from slbench.cloud import MeasuredCloud
 from slbench.objects import Mesh
 from slbench.rig import Pose
-from slbench.score.surface import Surface
+from slbench.score.clouds.surface import Surface
 
 POINTS = 5_000_000
 #: Seconds on two idle cores, registration included.

@@ -18,8 +18,8 @@ from slbench.objects import Mesh, load_artefact
 from slbench.rig import Pose
 from slbench.rig.parameters import ParameterCovariance
 from slbench.scene.calibration import Calibration
-from slbench.score.placing import place_on_surface
-from slbench.score.surface import Surface
+from slbench.score.clouds.placing import place_on_surface
+from slbench.score.clouds.surface import Surface
 from slbench.simulate.folder import write_scan
 from slbench.simulate.scan import scan
 

@@ -10,7 +10,7 @@ from slbench import objects
 from slbench.cloud.files.measured import MeasuredCloud
 from slbench.objects import Dimension
 from slbench.rig import Pose
-from slbench.score.against_part import score_against_part
+from slbench.score.clouds.against_part import score_against_part
 from slbench.score.features import fit_features
 
 PLATE = objects.load_artefact("feature-plate")

@@ -8,7 +8,7 @@ import slbench as sl
 from slbench.cloud import MeasuredCloud, write_cloud
 from slbench.objects import load_artefact
 from slbench.rig import Pose
-from slbench.score.surface import Surface
+from slbench.score.clouds.surface import Surface
 
 NOISE = 0.01
 POSE = Pose(Rotation.from_rotvec([0.5, 1.5, -2.0]).as_matrix(), np.array([80.0, 30.0, 500.0]))

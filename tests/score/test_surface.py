@@ -6,7 +6,7 @@ import trimesh
 
 from slbench.core.errors import InputError
 from slbench.objects import Mesh
-from slbench.score.surface import Surface
+from slbench.score.clouds.surface import Surface
 
 RNG = np.random.default_rng(11)
 SOLIDS = {

@@ -11,7 +11,7 @@ from scenes_small import check_refused, run_cli
 from slbench.cloud import MeasuredCloud, write_cloud
 from slbench.core.io import read_json, read_ply
 from slbench.objects import load_artefact
-from slbench.score.surface import Surface
+from slbench.score.clouds.surface import Surface
 from slbench.simulate.folder import write_scan
 
 

@@ -34,8 +34,8 @@ from slbench.objects import Artefact
 from slbench.rig import Pose
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.score.against_part import score_against_part
 from slbench.score.alignment import best_motion
+from slbench.score.clouds.against_part import score_against_part
 from slbench.score.features import fit_features
 from slbench.score.levels import parallel_heights
 from slbench.score.residuals import MIN_POINTS

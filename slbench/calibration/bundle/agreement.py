@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from slbench.calibration.bundle.adjust import derivatives, residuals
-from slbench.calibration.bundle.prior import Prior
+from slbench.calibration.bundle.adjustment.adjust import derivatives, residuals
+from slbench.calibration.bundle.adjustment.prior import Prior
 from slbench.calibration.bundle.views import BoardView
 from slbench.rig import Pose, Rig
 from slbench.rig.coefficients import COEFFICIENTS

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.calibration.bundle.adjustment.models import DEVICE_MODELS, TELECENTRIC, free_parameters
+from slbench.calibration.bundle.adjustment.models import start_values as values_of
+from slbench.calibration.bundle.adjustment.start import device_start
+from slbench.calibration.bundle.adjustment.telecentric import without_perspective
 from slbench.calibration.bundle.calibrate import calibrated, check_sizes
-from slbench.calibration.bundle.models import DEVICE_MODELS, TELECENTRIC, free_parameters
-from slbench.calibration.bundle.models import start_values as values_of
 from slbench.calibration.bundle.result import BoardCalibration
-from slbench.calibration.bundle.start import device_start
-from slbench.calibration.bundle.telecentric import without_perspective
 from slbench.calibration.bundle.views import BoardView
 from slbench.calibration.target.free import FreeBoard, find_free_board
 from slbench.core.errors import InputError, warn_user
@@ -150,7 +150,7 @@ def calibrate_camera(
     views : sequence of BoardView
         Three at least; their panels do not matter.
     model : str
-        Of :data:`~slbench.calibration.bundle.models.DEVICE_MODELS`.
+        Of :data:`~slbench.calibration.bundle.adjustment.models.DEVICE_MODELS`.
     fixed : mapping of str to float or None
         Parameters by full name that stay at a value, or where they start.
 

@@ -8,18 +8,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.calibration.bundle.adjust import adjust
-from slbench.calibration.bundle.models import FOCAL, TELECENTRIC, free_parameters, start_values
-from slbench.calibration.bundle.prior import Prior
-from slbench.calibration.bundle.result import BoardCalibration
-from slbench.calibration.bundle.start import fits_homography, start
-from slbench.calibration.bundle.telecentric import (
+from slbench.calibration.bundle.adjustment.adjust import adjust
+from slbench.calibration.bundle.adjustment.models import (
+    FOCAL,
+    TELECENTRIC,
+    free_parameters,
+    start_values,
+)
+from slbench.calibration.bundle.adjustment.prior import Prior
+from slbench.calibration.bundle.adjustment.start import fits_homography, start
+from slbench.calibration.bundle.adjustment.telecentric import (
     conventional,
     conventional_covariance,
     start_telecentric,
     without_perspective,
 )
-from slbench.calibration.bundle.uncertainty import uncertainty
+from slbench.calibration.bundle.adjustment.uncertainty import uncertainty
+from slbench.calibration.bundle.result import BoardCalibration
 from slbench.calibration.bundle.views import BoardView
 from slbench.calibration.bundle.world import placed
 from slbench.calibration.target.free import LEAST_POINTS
@@ -49,8 +54,8 @@ def calibrate_boards(
     views : sequence of BoardView
         Three at least.
     camera_model, projector_model : str
-        Of :data:`~slbench.calibration.bundle.models.CAMERA_MODELS` and
-        :data:`~slbench.calibration.bundle.models.DEVICE_MODELS`.
+        Of :data:`~slbench.calibration.bundle.adjustment.models.CAMERA_MODELS` and
+        :data:`~slbench.calibration.bundle.adjustment.models.DEVICE_MODELS`.
     fixed : mapping of str to float or None
         Parameters by full name that stay at a value, or where they start.
     world : str, optional

@@ -2,7 +2,7 @@ r"""Combine a camera and a projector that were calibrated apart, from a few view
 
 Where a camera is replaced, its lens is calibrated once and the projector's is known: six parameters
 of where they stand are left, which one pose of a board tells.  Both devices come with the
-covariance of their parameters, a :class:`~slbench.calibration.bundle.prior.Prior` of the
+covariance of their parameters, a :class:`~slbench.calibration.bundle.adjustment.prior.Prior` of the
 adjustment: lenses give way to the views by as much as they are uncertain, and the rig's covariance
 has what was known of them, what the views add, and what both have in common.
 
@@ -20,11 +20,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.calibration.bundle.adjustment.prior import Prior, marginal
+from slbench.calibration.bundle.adjustment.start import related
 from slbench.calibration.bundle.agreement import agreements
 from slbench.calibration.bundle.calibrate import calibrated
-from slbench.calibration.bundle.prior import Prior, marginal
 from slbench.calibration.bundle.result import BoardCalibration
-from slbench.calibration.bundle.start import related
 from slbench.calibration.bundle.views import BoardView
 from slbench.core.errors import InputError, warn_user
 from slbench.rig import Pose, Rig

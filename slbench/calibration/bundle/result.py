@@ -11,9 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from slbench.calibration.bundle.adjust import Adjusted, plain_residuals, right_jacobian
+from slbench.calibration.bundle.adjustment.adjust import Adjusted, plain_residuals, right_jacobian
+from slbench.calibration.bundle.adjustment.uncertainty import (
+    Uncertainty,
+    normal_spread_deg,
+    reach_of,
+)
 from slbench.calibration.bundle.agreement import Agreement
-from slbench.calibration.bundle.uncertainty import Uncertainty, normal_spread_deg, reach_of
 from slbench.calibration.bundle.views import BoardView
 from slbench.calibration.bundle.volume import coded_axis, point_covariance, volume_points
 from slbench.core.show.display import brief

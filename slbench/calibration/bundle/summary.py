@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from slbench.calibration.bundle.adjustment.field import DistortionField
 from slbench.calibration.bundle.agreement import Agreement
-from slbench.calibration.bundle.field import DistortionField
 from slbench.calibration.bundle.result import BoardCalibration
 from slbench.core.errors import InputError
 from slbench.core.show.document import Cell, Table

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.calibration.bundle.adjust import Adjusted
+from slbench.calibration.bundle.adjustment.adjust import Adjusted
 from slbench.calibration.bundle.views import BoardView
 from slbench.rig import Pose, Rig
 

@@ -80,9 +80,9 @@ def board(
     A camera alone (--device camera) needs no projector: one picture of the board in each pose. What
     is written stands in for a rig in `slbench calibrate combine`.
     """
+    from slbench.calibration.bundle.adjustment.models import read_fixed
     from slbench.calibration.bundle.alone import calibrate_camera
     from slbench.calibration.bundle.calibrate import calibrate_boards
-    from slbench.calibration.bundle.models import read_fixed
 
     check_outputs(out, report)
     target = board_of(kind, size, pitch_mm, staggered, marker_mm, dictionary)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from slbench.core.io import provenance
 from slbench.core.show.document import Cloud, Page, Part, Picture
-from slbench.score.cloudscore import CloudScore
+from slbench.score.clouds.cloudscore import CloudScore
 
 
 def cloud_score_page(result: CloudScore) -> Page:

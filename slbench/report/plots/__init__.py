@@ -14,7 +14,7 @@ DRAWERS: dict[str, str] = {
     "slbench.patterns.decode:PhaseMap": "slbench.report.plots.stream:phase_map",
     "slbench.cloud.triangulation:PointCloud": "slbench.report.plots.stream:cloud",
     "slbench.simulate.scan:Scan": "slbench.report.plots.scan:summary",
-    "slbench.score.cloudscore:CloudScore": "slbench.report.plots.cloudscore:draw",
+    "slbench.score.clouds.cloudscore:CloudScore": "slbench.report.plots.cloudscore:draw",
     "slbench.twin.twin:Twin": "slbench.report.plots.twin:draw",
     "slbench.bench.compare.comparison:Comparison": "slbench.report.pages.compare:draw",
     "slbench.bench.accept.acceptance:Acceptance": "slbench.report.plots.acceptance:draw",

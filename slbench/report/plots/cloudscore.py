@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from slbench.core.show.display import length_unit
-from slbench.score.cloudscore import CloudScore
+from slbench.score.clouds.cloudscore import CloudScore
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from scenes_small import run_cli, write_scene
 import slbench as sl
 from slbench.bench.claims.scored import check_scored
 from slbench.core.errors import InputError
+from slbench.score.clouds.scored import write_cloud_score
 from slbench.score.points import Score
-from slbench.score.scored import write_cloud_score
 
 BLOCK = sl.load_artefact("step-block-5")
 

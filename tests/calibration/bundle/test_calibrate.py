@@ -7,10 +7,10 @@ import pytest
 from board_views import BOARD, free_poses, macro_rig, projected_view, projected_views
 from scipy.spatial.transform import Rotation
 
-from slbench.calibration.bundle import adjust
-from slbench.calibration.bundle.adjust import derivatives, residuals, turned
+from slbench.calibration.bundle.adjustment import adjust
+from slbench.calibration.bundle.adjustment.adjust import derivatives, residuals, turned
+from slbench.calibration.bundle.adjustment.models import free_parameters, read_fixed
 from slbench.calibration.bundle.calibrate import calibrate_boards
-from slbench.calibration.bundle.models import free_parameters, read_fixed
 from slbench.calibration.bundle.summary import doubts
 from slbench.calibration.bundle.volume import point_covariance
 from slbench.cloud.triangulation import intersect_axis

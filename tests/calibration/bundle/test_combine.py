@@ -9,9 +9,9 @@ from board_scenes import true_parameters
 from board_views import free_poses, macro_rig, projected_view, projected_views
 from scipy.spatial.transform import Rotation
 
+from slbench.calibration.bundle.adjustment.prior import Prior, marginal
 from slbench.calibration.bundle.calibrate import calibrate_boards
 from slbench.calibration.bundle.combine import combine_devices, read_devices
-from slbench.calibration.bundle.prior import Prior, marginal
 from slbench.calibration.bundle.summary import doubts
 from slbench.calibration.bundle.volume import point_covariance, volume_points
 from slbench.cloud.triangulation import intersect_axis

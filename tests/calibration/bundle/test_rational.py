@@ -10,8 +10,8 @@ from board_views import macro_rig, projected_views, wide_rig, wide_views
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from slbench.calibration.bundle.adjustment.field import DISTORTION_PX
 from slbench.calibration.bundle.calibrate import calibrate_boards
-from slbench.calibration.bundle.field import DISTORTION_PX
 from slbench.calibration.bundle.summary import doubts, parameter_table, sentences
 from slbench.calibration.bundle.volume import point_covariance
 from slbench.cloud.triangulation import intersect_axis

@@ -9,11 +9,11 @@ import pytest
 from board_views import free_poses, macro_rig, projected_view, projected_views
 
 from slbench.calibration.bundle import calibrate
+from slbench.calibration.bundle.adjustment.models import TELECENTRIC, read_fixed
+from slbench.calibration.bundle.adjustment.start import fits_homography
+from slbench.calibration.bundle.adjustment.telecentric import start_telecentric, without_perspective
 from slbench.calibration.bundle.calibrate import calibrate_boards
-from slbench.calibration.bundle.models import TELECENTRIC, read_fixed
-from slbench.calibration.bundle.start import fits_homography
 from slbench.calibration.bundle.summary import parameter_table
-from slbench.calibration.bundle.telecentric import start_telecentric, without_perspective
 from slbench.cloud.triangulation import intersect_axis
 from slbench.core.errors import InputError, InputWarning
 from slbench.rig import Lens, Pose, Rig

@@ -13,9 +13,9 @@ from slbench.core.show.display import block, length
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
 from slbench.rig import Pose
-from slbench.score.expected import DEVIATIONS, LEAST_SHARE, Expected
+from slbench.score.clouds.expected import DEVIATIONS, LEAST_SHARE, Expected
+from slbench.score.clouds.tiles import Statistic, intervals
 from slbench.score.points import Score
-from slbench.score.tiles import Statistic, intervals
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class CloudScore:
         Of all points within three expected deviations of the reference.
     expected : Expected
     intervals : mapping of str to (float, float)
-        95 % intervals of numbers of the score (:mod:`slbench.score.tiles`).
+        95 % intervals of numbers of the score (:mod:`slbench.score.clouds.tiles`).
     dropped : int
         Points of the file that were not finite.
     background : int

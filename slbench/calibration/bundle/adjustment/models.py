@@ -2,7 +2,8 @@
 
 Those of central devices are nested.  ``plain`` is a pinhole; ``radial`` has k1 and k2; ``brown``
 adds p1, p2 and k3 (D. C. Brown, 1971); ``rational`` adds k4, k5 and k6 for wide angles (D. Claus
-and A. Fitzgibbon, 2005), which are told together only (:mod:`~slbench.calibration.bundle.field`).
+and A. Fitzgibbon, 2005), which are told together only
+(:mod:`~slbench.calibration.bundle.adjustment.field`).
 A sensor's tilt is not fitted: to first order it is the tangential distortion of ``brown``, and a
 shift of the centre; boards hardly tell them apart.  Nor is a thin prism.  Both may be stated.
 

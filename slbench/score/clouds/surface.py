@@ -1,6 +1,6 @@
 """A mesh as a surface: nearest points and signed distances, exact, of many points at once.
 
-The search itself is in :mod:`slbench.score.boxes`.
+The search itself is in :mod:`slbench.score.clouds.boxes`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from slbench.core.errors import InputError
 from slbench.core.random import generator
 from slbench.core.threads import in_bands
 from slbench.objects import Mesh
-from slbench.score.boxes import BITS, LEAF, build, morton, nearest
+from slbench.score.clouds.boxes import BITS, LEAF, build, morton, nearest
 
 Array = NDArray[np.float64]
 

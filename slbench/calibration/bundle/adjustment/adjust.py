@@ -12,9 +12,9 @@ are divided by their predicted deviations; a factor for each device, and for a p
 scatter more than the others' (a blurred one), is estimated along.
 
 **Mistakes.**  After a start that up to half of a board's points cannot carry away
-(:mod:`~slbench.calibration.bundle.start`) the sum of Cauchy's losses is minimised, then that of the
-squares of what is within :data:`~slbench.calibration.scales.GROSS` robust deviations, until that is
-the same set.  A point that is left out may come back.
+(:mod:`~slbench.calibration.bundle.adjustment.start`) the sum of Cauchy's losses is minimised, then
+that of the squares of what is within :data:`~slbench.calibration.scales.GROSS` robust deviations,
+until that is the same set.  A point that is left out may come back.
 
 **How.**  ``scipy.optimize.least_squares``; derivatives by a board's pose are analytic, those by the
 rig's parameters central differences of :func:`~slbench.rig.parameters.moved`, so that whatever a
@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from slbench.calibration.bundle.prior import Denominators, Prior
+from slbench.calibration.bundle.adjustment.prior import Denominators, Prior
 from slbench.calibration.bundle.views import BoardView
 from slbench.calibration.scales import GROSS, NORMAL_MAD
 from slbench.rig import Pose, Rig

@@ -19,9 +19,9 @@ from slbench.core.validation.types import Positive
 from slbench.core.validation.values import checked
 from slbench.objects import Artefact, build_artefact, load_artefact
 from slbench.rig import Pose
-from slbench.score.against_part import score_against_part
-from slbench.score.against_truth import ScannedTruth, score_against_truth, score_panel
-from slbench.score.cloudscore import CloudScore
+from slbench.score.clouds.against_part import score_against_part
+from slbench.score.clouds.against_truth import ScannedTruth, score_against_truth, score_panel
+from slbench.score.clouds.cloudscore import CloudScore
 
 CLOUD_SCORE_FOLDER = OutputFolder("scored cloud", ("score.json", "score.png", "deviations.ply"))
 _PANEL = "phase.exr"
@@ -76,7 +76,7 @@ def score_cloud(
     InputError
         For no reference or several, files that cannot be used, and a cloud of another part: one of
         which fewer than 70 % of the points lie within three expected deviations
-        (:mod:`slbench.score.expected`).
+        (:mod:`slbench.score.clouds.expected`).
 
     Warns
     -----

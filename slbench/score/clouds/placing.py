@@ -22,7 +22,7 @@ from slbench.objects import Mesh
 from slbench.rig import Pose
 from slbench.rig.pose import product
 from slbench.score.alignment import rigid_fit
-from slbench.score.surface import Surface
+from slbench.score.clouds.surface import Surface
 
 Array = NDArray[np.float64]
 

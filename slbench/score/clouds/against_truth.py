@@ -26,12 +26,12 @@ from slbench.rig.opencv import read_rig
 from slbench.scene.file import objects_of
 from slbench.scene.model import SceneObject
 from slbench.scene.truth import GroundTruth
-from slbench.score.cloudscore import CloudScore, score_intervals
-from slbench.score.expected import check_part, expected_deviations, question_unit
-from slbench.score.placing import place_on_surface
+from slbench.score.clouds.cloudscore import CloudScore, score_intervals
+from slbench.score.clouds.expected import check_part, expected_deviations, question_unit
+from slbench.score.clouds.placing import place_on_surface
+from slbench.score.clouds.surface import Surface
+from slbench.score.clouds.tiles import tiles_of
 from slbench.score.points import point_errors, score
-from slbench.score.surface import Surface
-from slbench.score.tiles import tiles_of
 
 Array = NDArray[np.float64]
 

@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from slbench.calibration.bundle.adjust import Adjusted
-from slbench.calibration.bundle.start import NOMINAL_PITCH_MM, device_start
+from slbench.calibration.bundle.adjustment.adjust import Adjusted
+from slbench.calibration.bundle.adjustment.start import NOMINAL_PITCH_MM, device_start
 from slbench.calibration.bundle.views import BoardView
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
 from slbench.rig.coefficients import COEFFICIENTS
@@ -49,8 +49,9 @@ def start_telecentric(
 ) -> tuple[Rig, list[Pose]]:
     """Return a rig with a telecentric camera and the poses of the boards to start from.
 
-    Parameters and returns are those of :func:`~slbench.calibration.bundle.start.start`; the
-    camera's centre is among what is fixed.
+    Parameters and returns are those of
+    :func:`~slbench.calibration.bundle.adjustment.start.start`; the camera's centre is among what is
+    fixed.
     """
     boards = [view.points_mm[mask] for view, mask in zip(views, masks, strict=True)]
     lit = [view.panel[mask] for view, mask in zip(views, masks, strict=True)]

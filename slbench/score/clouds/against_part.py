@@ -1,8 +1,8 @@
 """A cloud against a part of known shape: a certified artefact, or a mesh.
 
-The part is placed by the cloud (:mod:`slbench.score.placing`) unless it stands in the cloud's frame
-already.  A point's error is the vector to it from the nearest point of the part's surface; heights
-are along the part's z.
+The part is placed by the cloud (:mod:`slbench.score.clouds.placing`) unless it stands in the
+cloud's frame already.  A point's error is the vector to it from the nearest point of the part's
+surface; heights are along the part's z.
 """
 
 from __future__ import annotations
@@ -16,13 +16,19 @@ from slbench.cloud.files.measured import MeasuredCloud
 from slbench.core.errors import InputError
 from slbench.objects import Artefact
 from slbench.rig import Pose
-from slbench.score.cloudscore import CloudScore, score_intervals
-from slbench.score.expected import DEVIATIONS, check_part, expected_deviations, question_unit
+from slbench.score.clouds.cloudscore import CloudScore, score_intervals
+from slbench.score.clouds.expected import DEVIATIONS, check_part, expected_deviations, question_unit
+from slbench.score.clouds.placing import (
+    LEAST,
+    Placed,
+    largest_plane,
+    place_on_surface,
+    plane_behind,
+)
+from slbench.score.clouds.surface import Nearest, Surface
+from slbench.score.clouds.tiles import tiles_of
 from slbench.score.features import fit_features
-from slbench.score.placing import LEAST, Placed, largest_plane, place_on_surface, plane_behind
 from slbench.score.points import Score, by_kind
-from slbench.score.surface import Nearest, Surface
-from slbench.score.tiles import tiles_of
 from slbench.score.values import FeatureScore
 
 Array = NDArray[np.float64]

@@ -23,7 +23,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.calibration.bundle.adjust import pixels_by
+from slbench.calibration.bundle.adjustment.adjust import pixels_by
 from slbench.rig import Rig
 from slbench.rig.coefficients import COEFFICIENTS
 from slbench.rig.parameters import LENS, TURN, ParameterCovariance

@@ -20,8 +20,8 @@ it.
 
 **What poses do not tell.**  A parameter whose deviation is beyond a stated size is not determined.
 Distortion is judged as a whole, by what a picture would show of it
-(:mod:`~slbench.calibration.bundle.field`); named are the coefficients without which it is
-determined.
+(:mod:`~slbench.calibration.bundle.adjustment.field`); named are the coefficients without which it
+is determined.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.calibration.bundle.adjust import Adjusted, derivatives, residuals
-from slbench.calibration.bundle.field import DistortionField, distortion_field
-from slbench.calibration.bundle.models import FOCAL
-from slbench.calibration.bundle.prior import Denominators, Prior
+from slbench.calibration.bundle.adjustment.adjust import Adjusted, derivatives, residuals
+from slbench.calibration.bundle.adjustment.field import DistortionField, distortion_field
+from slbench.calibration.bundle.adjustment.models import FOCAL
+from slbench.calibration.bundle.adjustment.prior import Denominators, Prior
 from slbench.calibration.bundle.views import BoardView
 from slbench.rig.coefficients import COEFFICIENTS
 from slbench.rig.device import Device
@@ -97,8 +97,9 @@ def uncertainty(
     names : sequence of str
         Parameters of the rig that were free.
     prior : Prior, optional
-        What was known of them before, as :func:`~slbench.calibration.bundle.adjust.adjust` has it:
-        rows of A beside the poses'.
+        What was known of them before, as
+        :func:`~slbench.calibration.bundle.adjustment.adjust.adjust` has it: rows of A beside the
+        poses'.
     """
     weak = prior or Denominators.of(found.rig, names)
     before = np.zeros((0, len(names))) if weak is None else weak.derivatives(names, found.rig)

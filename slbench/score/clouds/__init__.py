@@ -1,0 +1,1 @@
+"""Any cloud held against a scan's truth, an artefact or a mesh."""
