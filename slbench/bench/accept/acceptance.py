@@ -148,6 +148,10 @@ class Acceptance:
             "traces": self.traces,
             "seed": self.seed,
             "tests": [_plain(one, self.views) for one in self.tests],
+            "points": [
+                {"place": one.place.name, "points": one.count, "left_out": one.left_out}
+                for one in self.places
+            ],
             "explanations": [vars(one) for one in self.explanations],
             "worse": [vars(one) for one in self.worse],
             "note": NOTE,

@@ -107,6 +107,16 @@ class Measured:
 
     __repr__ = brief
 
+    @property
+    def count(self) -> int:
+        """Points that are fitted or form."""
+        return sum(len(fit.points) for fit in self.fits)
+
+    @property
+    def left_out(self) -> int:
+        """Points over the standard that are too far from it to be its own."""
+        return sum(fit.points.left_out for fit in self.fits)
+
     def errors(self, displacements: Sequence[Array] | None = None) -> dict[str, float]:
         """Return the errors by test, mm.
 

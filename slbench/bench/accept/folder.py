@@ -1,9 +1,12 @@
 """An acceptance from clouds or captures of a real scanner.
 
 Balls and plates are found by what their certificate says of them: balls of that diameter, at that
-distance, a plate of that size.  The points that are fitted are those of a cap of 60 degrees about
-the direction that the ball is seen from (facing both devices where the rig is known), and those of
-a plate that are away from its edges.
+distance, a plate of that size.  Which points are fitted depends on where they lie over the surface,
+not on how far they are from it: those of a cap of 60 degrees about the direction that the ball is
+seen from (facing both devices where the rig is known), and those of a plate that are away from its
+edges.  An error of the instrument is form, however large.  Points further than half a radius, or a
+tenth of a plate's diagonal, are taken for another thing; they are left out, counted, and warned of
+where they are more than the 0.3 % that form sets aside.
 """
 
 from __future__ import annotations
@@ -28,12 +31,13 @@ from slbench.capture.capture import Capture
 from slbench.cloud.decoded import decode_capture
 from slbench.cloud.files import read_cloud
 from slbench.cloud.triangulation import Axis
-from slbench.core.errors import InputError, located
+from slbench.core.errors import InputError, located, warn_user
 from slbench.rig import Rig
 from slbench.rig.opencv import read_rig
 from slbench.rig.parameters import covariance_beside
 from slbench.rig.pose import product
 from slbench.score.features import MAX_INCIDENCE, MIN_POINTS, core, fit_sphere
+from slbench.score.residuals import SET_ASIDE
 
 Array = NDArray[np.float64]
 
@@ -41,9 +45,12 @@ Array = NDArray[np.float64]
 _LEAST_PLATE, _LARGEST_PLATE = 0.7, 1.2
 #: Trial balls, points that they are tried on, and how near to one a point counts, of its radius.
 _TRIALS, _TRIED, _NEAR = 300, 3000, 0.04
-#: Distance from a ball's surface within which points are its own, and from a plate's plane, as a
-#: share of the radius and of the plate's diagonal.
+#: Distance from a ball's surface that it is found by, and from a plate's plane, as a share of the
+#: radius and of the plate's diagonal.
 _BAND, _PLATE_BAND = 0.1, 0.01
+#: Distance beyond which points are of another thing, in the same shares, and where a ball's cap
+#: ends, in radii from its centre.
+_FAR, _PLATE_FAR, _ABOVE = 0.5, 0.1, 2.0
 #: How far the spacing of two balls that belong together may be from the certified one.
 _SPACING = 0.05
 #: Part of a plate's width at each edge that is left out.
@@ -103,6 +110,7 @@ def accept_folder(
         with located(folder.name):
             parts = _matched(registered(one.place, views, one.registered_by))
             measured.append(measured_place(one.place, parts))
+        _doubt(folder.name, measured[-1])
         if on_progress:
             on_progress("places", (k + 1) / len(own.places))
     return assembled(
@@ -114,6 +122,16 @@ def accept_folder(
         covariance=None if own.rig is None else covariance_beside(own.rig),
         parameters={"folder": str(folder)},
     )
+
+
+def _doubt(folder: str, place: Measured) -> None:
+    """Warn where more was left out than form sets aside."""
+    every = place.count + place.left_out
+    if place.left_out > SET_ASIDE * every:
+        share = 100.0 * place.left_out / every
+        doubt = f"{place.left_out} of {every} points ({share:.2g} %) are so far from the standard "
+        doubt += "that they were left out: another thing over it, or gross errors of the scanner?"
+        warn_user(f"{folder}: {place.place.name}", doubt)
 
 
 def _of_capture(
@@ -160,7 +178,17 @@ def found(points: Points, standard: Standard, rig: Rig | None = None) -> list[Po
     centres = [first]
     if standard.spacing_mm is not None:
         centres.append(_ball(points.points, radius, (first, standard.spacing_mm)))
-    return [points.chosen(_cap(points.points, c, radius, rig)) for c in centres]
+    balls = []
+    for centre in centres:
+        cap = _cap(points.points, centre, radius, rig)
+        off = np.abs(np.linalg.norm(points.points[cap] - centre, axis=1) / radius - 1.0)
+        balls.append(_without(points, cap, off > _FAR))
+    return balls
+
+
+def _without(points: Points, region: NDArray[np.intp], far: NDArray[np.bool_]) -> Points:
+    """Return the points of a region but for those that are far off, which are counted."""
+    return replace(points.chosen(region[~far]), left_out=int(np.count_nonzero(far)))
 
 
 def _ball(points: Array, radius: float, beside: tuple[Array, float] | None) -> Array:
@@ -208,8 +236,8 @@ def _settled(points: Array, centre: Array, radius: float) -> Array | None:
         centre, fitted, *_ = fit_sphere(own[kept])
         if abs(fitted / radius - 1.0) > _BAND:
             return None
-    cap = _cap(points, centre, radius, None)
-    normals = points[cap] - centre
+    normals = points[_cap(points, centre, radius, None)] - centre
+    normals = normals[np.abs(np.linalg.norm(normals, axis=1) / radius - 1.0) < _BAND]
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     middle = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
     low, high = _INNER
@@ -233,19 +261,19 @@ def _through(three: Array, radius: float) -> list[Array]:
 
 
 def _cap(points: Array, centre: Array, radius: float, rig: Rig | None) -> NDArray[np.intp]:
-    """Return the indices of a ball's points that are fitted."""
+    """Return the indices of the points over the part of a ball that is fitted."""
     outward = points - centre
     distance = np.linalg.norm(outward, axis=1)
-    near = np.flatnonzero(np.abs(distance / radius - 1.0) < _BAND)
-    normals = outward[near] / distance[near, None]
+    own = np.flatnonzero((distance > 0.0) & (distance < _ABOVE * radius))
+    normals = outward[own] / distance[own, None]
     if rig is not None:
         for device in (rig.camera, rig.projector):
-            kept = faces(device, points[near], normals)
-            near, normals = near[kept], normals[kept]
-        return near
-    seen = normals.mean(axis=0)
+            kept = faces(device, centre + radius * normals, normals)
+            own, normals = own[kept], normals[kept]
+        return own
+    seen = normals[np.abs(distance[own] / radius - 1.0) < _BAND].mean(axis=0)
     seen = seen / np.linalg.norm(seen)
-    return near[normals @ seen > np.cos(MAX_INCIDENCE)]
+    return own[normals @ seen > np.cos(MAX_INCIDENCE)]
 
 
 def _plate(points: Points, standard: Standard) -> Points:
@@ -266,10 +294,14 @@ def _plate(points: Points, standard: Standard) -> Points:
             best, most = (a, normal / size), count
     if best is None:
         raise InputError("cloud", "a plate", f"none in {len(points)} points")
-    own = np.flatnonzero(np.abs((points.points - best[0]) @ best[1]) < band)
-    fit = fit_plate(points.chosen(own), "plate")
-    local = fit.design[:, 1:]
-    box = cv2.minAreaRect(local.astype(np.float32))
+    near = np.flatnonzero(np.abs((points.points - best[0]) @ best[1]) < band)
+    fit = fit_plate(points.chosen(near), "plate")
+    inner = points.points[near[fit.inliers]]
+    normal = fit.normals[0]
+    flat = np.linalg.svd(np.eye(3) - np.outer(normal, normal))[2][:2].T
+    local = product(points.points - inner.mean(axis=0), flat)
+    height = (points.points - inner.mean(axis=0)) @ normal
+    box = cv2.minAreaRect(local[near].astype(np.float32))
     middle, sides, turn = np.array(box[0]), np.array(box[1]), np.deg2rad(box[2])
     # A cloud may lack the edges of a plate, not a third of it.
     share = np.sort(sides) / np.sort(standard.size_mm)
@@ -281,8 +313,9 @@ def _plate(points: Points, standard: Standard) -> Points:
     across = product(
         local - middle, np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     )
-    inner = np.all(np.abs(across) < (0.5 - _EDGE) * sides, axis=1)
-    return points.chosen(own[inner])
+    region = np.flatnonzero(np.all(np.abs(across) < (0.5 - _EDGE) * sides, axis=1))
+    far = np.abs(height[region]) > _PLATE_FAR * float(np.hypot(*standard.size_mm))
+    return _without(points, region, far)
 
 
 def _matched(views: list[list[Points]]) -> list[list[Points]]:

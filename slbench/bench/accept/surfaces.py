@@ -53,6 +53,8 @@ class Points:
         Rotation from there.
     sampling_mm : (N, 3) float, optional
         One draw of what the renderer's samples leave in the points.
+    left_out : int
+        Points over the ball or plate that are too far from it to be its own.
     """
 
     points: Array
@@ -61,6 +63,7 @@ class Points:
     world: Array | None = None
     turn: Array | None = None
     sampling_mm: Array | None = None
+    left_out: int = 0
 
     def __len__(self) -> int:
         return len(self.points)
@@ -104,6 +107,7 @@ def joined(parts: list[Points]) -> Points:
         np.concatenate([part.points if part.world is None else part.world for part in parts]),
         np.concatenate([_turn(part) for part in parts]),
         sampling,
+        sum(part.left_out for part in parts),
     )
 
 

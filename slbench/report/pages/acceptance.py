@@ -42,6 +42,8 @@ def acceptance_page(result: Acceptance) -> Page:
     columns = ("test", "place", "error / µm", "u certificate / µm", "u temperature / µm")
     columns_after = ("u fit / µm", "u sampling / µm", "limit / µm", "verdict")
     parts.append(Table("All places", (*columns, *columns_after), tuple(rows)))
+    counts = tuple((one.place.name, one.count, one.left_out) for one in result.places)
+    parts.append(Table("Points", ("place", "points", "left out"), counts))
     parts.append(Table("Symbols of VDI/VDE 2634 and ISO 10360-13", ("test", "symbols"), symbols))
     return Page(
         f"Acceptance of {result.name}", tuple(parts), provenance(result.parameters, result.seed)

@@ -17,7 +17,7 @@ from slbench.bench.accept.folder import accept_folder, found
 from slbench.bench.accept.specification import read_specification
 from slbench.bench.accept.standards import Standard
 from slbench.bench.accept.surfaces import Points, fit_ball
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
 
 BAR = {"diameter_mm": 10.0, "spacing_mm": 40.0, "spacing_U_um": 1.0}
 SPHERE = {"diameter_mm": 14.0}
@@ -178,6 +178,48 @@ def test_a_table_is_no_plate(tmp_path):
     )
     with pytest.raises(InputError, match="a plate of 48 x 40 mm"):
         accept_folder(folder)
+
+
+def test_points_far_off_a_plate_or_a_ball_are_part_of_its_form(tmp_path):
+    """One in twenty is 1.5 and 1 mm off, beyond 1 % of the diagonal and 10 % of the radius: more
+    than the 0.3 % that are set aside, so that the form is as much, and 0.02 mm of noise."""
+    rng = np.random.default_rng(7)
+    flat = np.column_stack((rng.uniform((-24, -20), (24, 20), (5000, 2)), np.zeros(5000)))
+    flat[:, 2] += 0.002 * rng.standard_normal(5000)
+    flat[::20, 2] += 1.5
+    middle = np.array([3.0, 4.0, 5.0])
+    ball = cap(rng, middle, 7.0, 4000)
+    ball[::20] += (ball[::20] - middle) / 7.0
+    clouds = {"plate.xyz": flat, "ball.xyz": np.concatenate((ball, table(rng)))}
+    folder = write(
+        tmp_path / "spikes",
+        clouds,
+        standards={"sphere": SPHERE, "plane": PLATE},
+        place=[*places("plane", ["plate.xyz"]), *places("sphere", ["ball.xyz"])],
+    )
+    result = accept_folder(folder)
+    assert result["flatness"].worst.value.error_mm == pytest.approx(1.5, abs=0.02)
+    assert result["probing_form"].worst.value.error_mm == pytest.approx(1.0, abs=0.02)
+
+
+def test_points_that_are_left_out_are_counted_and_warned_of(tmp_path):
+    """A tenth of the points float 20 mm above a plate: of another thing, or gross errors."""
+    rng = np.random.default_rng(7)
+    flat = np.column_stack((rng.uniform((-24, -20), (24, 20), (5000, 2)), np.zeros(5000)))
+    flat[::10, 2] = 20.0
+    folder = write(
+        tmp_path / "floating",
+        {"plate.xyz": flat},
+        standards={"plane": PLATE},
+        place=places("plane", ["plate.xyz"]),
+    )
+    with pytest.warns(InputWarning, match=r"plane 1.*left out"):
+        result = accept_folder(folder)
+    (one,) = result.to_dict()["points"]
+    assert one["place"] == "plane 1"
+    # 81 % of the plate is away from its edges.
+    assert one["points"] == pytest.approx(0.9 * 0.81 * 5000, rel=0.05)
+    assert one["left_out"] == pytest.approx(0.1 * one["points"] / 0.9, rel=0.2)
 
 
 def test_the_cap_of_a_ball_is_what_faces_the_scanner():
