@@ -158,7 +158,6 @@ def accept(
                 loaded,
                 places,
                 limits=stated.limits,
-                covariance=_covariance(measured_with),
                 register=register,
                 seed=seed,
                 noise=noise,
@@ -208,12 +207,3 @@ def _stated(mpe: Path | None, against: Path | None, limits: list[str] | None) ->
             raise InputError("--mpe-um", "TEST=LIMIT, such as probing_size=20", text)
         given[test.strip()] = limit
     return overridden(found, Specification(limits=read_limits(given, "--mpe-um")))
-
-
-def _covariance(measured_with: Path | None):  # type: ignore[no-untyped-def]
-    """Return the covariance that stands beside a rig, None where none does."""
-    if measured_with is None or measured_with.suffix.lower() not in (".yaml", ".yml"):
-        return None
-    from slbench.rig.parameters import covariance_beside
-
-    return covariance_beside(measured_with)

@@ -22,7 +22,7 @@ from slbench.bench.accept.verdict import (
     overall,
 )
 from slbench.cloud.triangulation import Axis
-from slbench.core.errors import warn_user
+from slbench.core.errors import InputError, warn_user
 from slbench.core.random import tagged_seed
 from slbench.core.show.display import block
 from slbench.core.show.document import Table
@@ -40,7 +40,8 @@ _MOST_BY_SAMPLES = 0.5
 
 NOTE = (
     "u: standard uncertainty of the test (certificate, temperature, fit, sampling). Pass and fail "
-    "by ISO 14253-1 with a guard band of 1.645 u. By the definitions of VDI/VDE 2634 parts 2 and 3 "
+    "by ISO 14253-1 with a guard band of 1.645 u; fewer places than VDI/VDE 2634-2 asks for (2 of "
+    "7) pass nothing. By the definitions of VDI/VDE 2634 parts 2 and 3 "
     "and ISO 10360-13:2021; no accredited procedure."
 )
 
@@ -114,7 +115,7 @@ class Acceptance:
             rows.append(
                 (
                     f"{one.test.symbol} {one.test.words}".strip(),
-                    len(one.judged),
+                    one.places,
                     worst.value.place,
                     _UM * worst.value.error_mm,
                     _UM * worst.value.u_test_mm,
@@ -163,6 +164,7 @@ def _plain(result: Tested, views: int) -> dict[str, Any]:
         "test": result.test.name,
         "symbols": result.test.label(views),
         "outcome": result.outcome,
+        "note": f"{result.places} places" if result.too_few else "",
         "limit_um": None if result.limit is None else str(result.limit),
         "worst_place": result.worst.value.place,
         "error_mm": result.worst.value.error_mm,
@@ -247,7 +249,8 @@ def accept(
     limits : mapping of str to Limit, optional
         Maximum permissible errors by name of the test.
     covariance : ParameterCovariance, optional
-        Of the measuring rig's parameters; by default the scene's calibration's.
+        Of the measuring rig's parameters; by default the scene's calibration's, or what stands
+        beside the rig that it measures with.
     register : {"poses", "spheres"}
         How several views of a place are registered.
     seed : int
@@ -276,12 +279,16 @@ def accept(
     from slbench.bench.accept.virtual import light_of, measure
 
     places = planned(scene) if places is None else places
+    if not places:
+        raise InputError("places", "at least one", "none")
     light = lights or Lights(seed, kept=1)
     before, made = light.traces, scene.calibration
     rig: Rig | None = scene.rig if made is None else made.rig_for(scene.rig, seed)
     if made is not None and made.model is not None:
         rig = None
-    known = covariance if covariance is not None or made is None else made.covariance
+    known = covariance
+    if known is None and made is not None:
+        known = made.covariance or made.beside
     measured: list[Measured] = []
     for k, place in enumerate(places):
 

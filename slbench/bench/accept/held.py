@@ -114,6 +114,8 @@ def write_acceptance_junit(result: Acceptance, path: str | Path) -> None:
         )
         if worst.limit_mm is not None:
             line += f", limit {_UM * worst.limit_mm:.4g} µm"
+        if one.too_few:
+            line += f", {one.places} places"
         outcome = "pass" if one.outcome == "no limit" else one.outcome
         cases.append(Case(one.test.name, outcome, line, result.why()))
     cases += [Case(f"{w.test}, held", "worse", w.text()) for w in result.worse]

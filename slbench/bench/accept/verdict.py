@@ -5,6 +5,8 @@ ISO 14253-1:2017 has it by default: what is proven is proven with a probability 
 has one limit near it, so that the guard band is 1.645 standard uncertainties of the test.  Between
 them nothing is proven: *undecided*.
 
+A test in fewer places than VDI/VDE 2634-2 asks for may fail; it is not passed: *undecided*.
+
 A maximum permissible error may depend on the tested length: ``A + L / K`` micrometres, L in mm.
 """
 
@@ -15,7 +17,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from slbench.bench.accept.definitions import TESTS, ErrorKind
+from slbench.bench.accept.definitions import LEAST_PLACES, TESTS, ErrorKind
 from slbench.bench.accept.evaluate import PlaceError
 from slbench.core.errors import InputError
 from slbench.core.registry import quoted
@@ -115,9 +117,21 @@ class Tested:
         return max(self.judged, key=lambda one: one.used)
 
     @property
+    def places(self) -> str:
+        """How many places, and of how many where they are too few: ``2 of 7``."""
+        count = str(len(self.judged))
+        return f"{count} of {LEAST_PLACES[self.test.standard]}" if self.too_few else count
+
+    @property
+    def too_few(self) -> bool:
+        """Whether these are fewer places than VDI/VDE 2634-2 asks for."""
+        return len(self.judged) < LEAST_PLACES[self.test.standard]
+
+    @property
     def outcome(self) -> Outcome:
-        """Fail if one place fails, else undecided if one is, else pass."""
-        return overall([one.outcome for one in self.judged])
+        """Fail if one place fails, else undecided if one is or there are too few, else pass."""
+        found = overall([one.outcome for one in self.judged])
+        return "undecided" if found == "pass" and self.too_few else found
 
 
 @dataclass(frozen=True)

@@ -236,8 +236,26 @@ def test_the_cap_of_a_ball_is_what_faces_the_scanner():
     assert len(ball) == pytest.approx(2000 * 0.5 / 0.6, rel=0.05)
 
 
-def test_the_command_judges_writes_and_holds(tmp_path):
+def test_few_places_pass_nothing_and_fail_what_fails(tmp_path):
+    """VDI/VDE 2634-2 asks for seven places of a bar: two within the limit are undecided."""
     clouds = {f"bar{k}.xyz": bar(k, 40.010) for k in range(2)}
+    tables = {"standards": {"ball_bar": BAR}, "place": places("ball_bar", clouds)}
+    folder = write(tmp_path / "few", clouds, **tables)
+    junit = tmp_path / "j.xml"
+    words = ("accept", folder, "--out", tmp_path / "o", "--junit", junit)
+    done = run_cli(*words, "--mpe-um", "sphere_spacing=20")
+    assert done.status == 3
+    assert "2 of 7" in done.out
+    failure = ElementTree.parse(junit).getroot()[0][0].find("failure")
+    assert "2 of 7 places" in failure.get("message")
+    printed = json.loads(run_cli(*words, "--mpe-um", "sphere_spacing=20", "--json").out)
+    assert printed["tests"][0]["note"] == "2 of 7 places"
+    assert {one["outcome"] for one in printed["tests"][0]["places"]} == {"pass"}
+    assert run_cli(*words, "--mpe-um", "sphere_spacing=5").status == 1
+
+
+def test_the_command_judges_writes_and_holds(tmp_path):
+    clouds = {f"bar{k}.xyz": bar(k, 40.010) for k in range(7)}
     tables = {"standards": {"ball_bar": BAR}, "place": places("ball_bar", clouds)}
     folder = write(tmp_path / "real", clouds, mpe={"sphere_spacing_um": "14 + L/40"}, **tables)
     out, junit, page = tmp_path / "out", tmp_path / "j.xml", tmp_path / "page.html"
@@ -266,7 +284,7 @@ def test_the_command_judges_writes_and_holds(tmp_path):
     # The same again holds; a bar that is measured 5 um longer is within its limit, and worse.
     words = ("accept", folder, "--out", tmp_path / "again", "--against", out / "claims.toml")
     assert run_cli(*words).status == 0
-    for k in range(2):
+    for k in range(7):
         np.savetxt(folder / f"bar{k}.xyz", bar(k, 40.014), fmt="%.6f")
     outcome = run_cli(*words)
     assert outcome.status == 1
