@@ -27,7 +27,7 @@ from slbench.core.show.display import block, length
 from slbench.core.show.drawing import figure
 from slbench.core.validation.values import checked
 from slbench.patterns import PhaseMap
-from slbench.rig import Device, Rig
+from slbench.rig import Device, Pose, Rig
 from slbench.rig.pose import product
 
 Array = NDArray[np.float64]
@@ -123,6 +123,16 @@ class PointCloud:
         """Standard uncertainty of the distance to the true point, (N,), mm."""
         return np.sqrt(np.sum(self.u_mm**2, axis=1))
 
+    def moved(self, motion: Pose) -> PointCloud:
+        """Return the cloud after a rigid motion: its ``to_world``."""
+        turn, known = motion.rotation, self.calibration_mm2
+        return replace(
+            self,
+            points=motion.to_world(self.points),
+            sensitivity=product(self.sensitivity, turn.T),
+            calibration_mm2=None if known is None else turn @ known @ turn.T,
+        )
+
     def with_steady(self, steady_px: Mapping[Axis, ArrayLike]) -> PointCloud:
         """Return the cloud with a steady error more.
 
@@ -203,7 +213,7 @@ def triangulate(rig: Rig, phase: PhaseMap, meeting: Meeting = "ray") -> PointClo
 
 def meet(
     rig: Rig,
-    pixels: NDArray[np.integer],
+    pixels: NDArray[Any],
     axes: tuple[Axis, ...],
     panel: Array,
     sigma: Array,
@@ -214,8 +224,8 @@ def meet(
     Parameters
     ----------
     rig : Rig
-    pixels : (N, 2) int
-        Camera pixels (u, v).
+    pixels : (N, 2) int or float
+        Camera pixels (u, v), or places between them.
     axes : tuple of "u", "v"
         Coded axes, A of them.
     panel, sigma : (N, A) float

@@ -7,8 +7,8 @@ calibration, so repeats share one draw, that of ``seed`` (as they share a detect
 pattern), unless ``redraw`` asks for one a scan.
 
 *Frames.*  Points are in the world of that rig or model, and are compared with the truth in the
-scene's.  Neither is turned into the other, unless ``align`` asks for the best rigid motion
-(:mod:`slbench.score.alignment`).
+scene's.  Neither is turned into the other, unless ``align`` asks for the rigid motion that joins
+both over the measurement volume (:mod:`slbench.simulate.reconstruct`).
 """
 
 from __future__ import annotations

@@ -1,22 +1,13 @@
-"""Clouds moved to the truth by the best rigid motion, before they are scored.
-
-A calibration's world is where its target lay.  What a cloud measures of a part (steps, forms,
-distances) does not depend on it; distances from the truth do, unless both frames are joined first.
-"""
+"""The rigid motion that brings points nearest to the true ones."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import InputError
 from slbench.core.random import generator
 from slbench.rig import Pose
-from slbench.rig.pose import product
-from slbench.scene.truth import GroundTruth
 
 Array = NDArray[np.float64]
 
@@ -106,31 +97,3 @@ def _start(points: Array, true: Array) -> Pose:
             tried[k] = rigid_fit(points[near], true[near])
     best = min(tried, key=median)
     return best if median(best) < _LOWER * median(motion) - 1e-12 else motion
-
-
-def aligned(cloud: PointCloud, truth: GroundTruth) -> tuple[PointCloud, Pose]:
-    """Return a cloud moved to the truth, and the motion.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-    truth : GroundTruth
-        Of the same camera; points on smooth lit surface decide.
-
-    Raises
-    ------
-    InputError
-        If fewer than three points lie there.
-    """
-    rows, columns = cloud.pixels[:, 1], cloud.pixels[:, 0]
-    smooth = truth.smooth()[rows, columns]
-    motion = best_motion(cloud.points[smooth], truth.point[rows, columns][smooth])
-    turn = motion.rotation
-    known = cloud.calibration_mm2
-    moved = replace(
-        cloud,
-        points=motion.to_world(cloud.points),
-        sensitivity=product(cloud.sensitivity, turn.T),
-        calibration_mm2=None if known is None else turn @ known @ turn.T,
-    )
-    return moved, motion

@@ -2,32 +2,42 @@
 
 Usually that is the rig that is rendered.  A scene with a ``calibration``
 (:mod:`slbench.scene.calibration`) is rendered with the one and measured with the other.
+
+*Frames.*  What is measured with has a world of its own.  The motion that brings it to the scene's
+is that of the whole measurement volume: true places in it, as both devices see them, are measured
+without noise, and the motion between what comes out and what is true is what the frames differ by.
+Neither the object nor its points take part: by its own points a staircase whose steps are all too
+high would be leant until it looks right.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from slbench.calibration.apply import measure
 from slbench.calibration.doubts import resolution_doubt
+from slbench.calibration.models.model import CalibrationModel
 from slbench.cloud.calibrated import with_calibration
 from slbench.cloud.gaps import lost_points, ray_gap, rig_doubts
-from slbench.cloud.triangulation import PointCloud, triangulate
-from slbench.core.errors import located
+from slbench.cloud.triangulation import Axis, PointCloud, meet, triangulate
+from slbench.core.errors import InputError, located
 from slbench.core.show.display import length
 from slbench.patterns import PhaseMap
 from slbench.rig import Pose, Rig
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
-from slbench.score.alignment import aligned
+from slbench.score.alignment import rigid_fit
 
 #: Distance on a sensor or panel between where true points are and where another rig sees them
 #: that no calibration of the same devices has, as a share of its width.
 _FAR = 0.02
 #: Share of the pixels outside a model's domain that tells of another camera.
 _OUTSIDE = 0.5
+#: Places in the volume, along each axis, by which frames are joined, and how many are needed.
+_PLACES, _LEAST_PLACES = 9, 27
 #: Pixels that a doubt needs.
 _LEAST = 100
 
@@ -51,17 +61,13 @@ class Reconstruction:
     motion: Pose | None = None
 
 
-def reconstruct(
-    scene: Scene, phase: PhaseMap, truth: GroundTruth, *, seed: int = 0
-) -> Reconstruction:
+def reconstruct(scene: Scene, phase: PhaseMap, *, seed: int = 0) -> Reconstruction:
     """Turn panel coordinates into points.
 
     Parameters
     ----------
     scene : Scene
     phase : PhaseMap
-    truth : GroundTruth
-        For the alignment.
     seed : int
         Of the scan, where every scan has a calibration error of its own.
 
@@ -83,8 +89,52 @@ def reconstruct(
                 cloud = with_calibration(cloud, rig, phase, made.covariance)
         if not made.align or not len(cloud):
             return Reconstruction(cloud=cloud, rig=rig)
-        cloud, motion = aligned(cloud, truth)
-    return Reconstruction(cloud=cloud, rig=rig, motion=motion)
+        motion = joining_motion(scene, made.model or rig, tuple(phase.coordinate))
+    return Reconstruction(cloud=cloud.moved(motion), rig=rig, motion=motion)
+
+
+def joining_motion(
+    scene: Scene, measured_with: Rig | CalibrationModel, axes: Sequence[Axis]
+) -> Pose:
+    """Return the motion from the frame of a rig or model to the scene's, by the whole volume.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its rig is true.
+    measured_with : Rig or CalibrationModel
+    axes : sequence of "u", "v"
+        That are coded.
+
+    Returns
+    -------
+    Pose
+        ``to_world`` moves points that were measured.
+
+    Raises
+    ------
+    InputError
+        If fewer than 27 places of the volume are seen by both devices and measured.
+    """
+    steps = [np.linspace(-0.5, 0.5, _PLACES) * size for size in scene.rig.volume_mm]
+    grid = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    places = scene.place.to_world(grid)
+    with np.errstate(invalid="ignore"):
+        pixels, panel = scene.rig.camera.project(places), scene.rig.projector.project(places)
+        seen = scene.rig.camera.contains(pixels) & scene.rig.projector.contains(panel)
+    places, pixels = places[seen], pixels[seen]
+    coded = panel[seen][:, ["uv".index(axis) for axis in axes]]
+    if isinstance(measured_with, Rig):
+        found, _ = meet(measured_with, pixels, tuple(axes), coded, np.ones_like(coded))
+    else:
+        wanted = coded[:, [axes.index(axis) for axis in measured_with.axes]]
+        measured = measured_with.measure(np.concatenate((pixels, wanted), axis=1))
+        found = np.where(measured.inside[:, np.newaxis], measured.points, np.nan)
+    told = np.isfinite(found).all(axis=1)
+    if np.count_nonzero(told) < _LEAST_PLACES:
+        expected = "places of the volume that both devices see and the calibration measures"
+        raise InputError("align", f"at least {_LEAST_PLACES} {expected}", int(told.sum()))
+    return rigid_fit(found[told], places[told])
 
 
 def calibration_doubts(

@@ -363,7 +363,6 @@ def scan(
         made = reconstruct(
             scene,
             view.phase,
-            view.truth,
             seed=seed if calibration_seed is None else calibration_seed,
         )
         for doubt in calibration_doubts(scene, view.phase, view.truth, made):
@@ -404,14 +403,7 @@ def score_scan(scan: Scan) -> Scan:
     floor = floor_of(view.transport, scene.sequence, scene.rig.projector, view.truth)
     cloud = scan.cloud.with_steady(floor.sampling_px)
     scores = ScanScores(
-        points=score_points(
-            cloud,
-            view.truth,
-            view.phase,
-            scene.objects,
-            scene.rig,
-            level=scan.motion is not None,
-        ),
+        points=score_points(cloud, view.truth, view.phase, scene.objects, scene.rig),
         floor_rms_px=floor.rms_px,
         monte_carlo_rms_px=floor.sampling_rms_px,
         fusion=fusion,

@@ -114,6 +114,30 @@ class TestRigs:
         assert joined == pytest.approx(plain.score.median_abs_mm, rel=0.1)
         assert off > 3 * joined
 
+    @pytest.mark.parametrize("turned", [False, True])
+    def test_alignment_does_not_hide_a_wrong_scale(self, folder, tmp_path, turned):
+        """A rig that is longer by a share measures all heights too large by that share."""
+        rig = sl.load_scene(folder / "small.toml").rig
+        poses = [rig.camera.pose, rig.projector.pose]
+        longer = 1.01 * (poses[1].position - poses[0].position) + poses[0].position
+        poses[1] = sl.Pose(poses[1].rotation, longer)
+        if turned:  # into a world of its own
+            poses = [
+                sl.Pose(poses[0].rotation.T @ p.rotation, poses[0].to_local(p.position))
+                for p in poses
+            ]
+        other = sl.Rig(rig.camera.posed(poses[0]), rig.projector.posed(poses[1]), rig.volume_mm)
+        write_rig(tmp_path / "longer.yaml", other)
+
+        def heights(**options):
+            scene = sl.load_scene(folder / "small.toml", align=True, **options)
+            steps = sl.scan(scene, seed=1, noise=False).score.steps
+            return np.array([step.measured_mm for step in steps])
+
+        ratio = heights(measured_with=tmp_path / "longer.yaml") / heights()
+        # The staircase of panel pixels is the same in both, but for a hundredth of itself.
+        np.testing.assert_allclose(ratio, 1.01, atol=2e-4)
+
     def test_a_right_rig_is_not_questioned(self, folder):
         with warnings.catch_warnings():
             warnings.simplefilter("error", InputWarning)

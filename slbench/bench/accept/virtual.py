@@ -50,7 +50,6 @@ class Light:
         With the standard in the place of each view.
     transports : tuple of tuple of LightTransport
         Of each view, one a focus setting.
-    truths : tuple of GroundTruth
     pixels : tuple of tuple of (V, U) bool
         Of each view, those of each ball or of the plate.
     half_px : tuple of dict of axis to (V, U) float
@@ -60,7 +59,6 @@ class Light:
     place: Place
     scenes: tuple[Scene, ...]
     transports: tuple[tuple[LightTransport, ...], ...]
-    truths: tuple[GroundTruth, ...]
     pixels: tuple[tuple[NDArray[np.bool_], ...], ...]
     half_px: tuple[dict[Axis, Array], ...]
 
@@ -80,7 +78,7 @@ def light_of(
     on_progress : callable, optional
     """
     artefact, material = place.standard.artefact(), scene.objects[0].material
-    scenes, transports, truths, pixels, half = [], [], [], [], []
+    scenes, transports, pixels, half = [], [], [], []
     for k, pose in enumerate(place.poses):
         one = replace(scene, objects=(SceneObject(artefact, pose, material),))
 
@@ -89,11 +87,10 @@ def light_of(
                 on_progress((done + part) / len(place.poses))
 
         transports.append(lights.traced(one, on_progress=progress))
-        truths.append(lights.truth(one))
-        pixels.append(_pixels(one, pose, truths[-1]))
+        pixels.append(_pixels(one, pose, lights.truth(one)))
         half.append(_half_px(one, transports[-1]))
         scenes.append(one)
-    return Light(place, tuple(scenes), tuple(transports), tuple(truths), tuple(pixels), tuple(half))
+    return Light(place, tuple(scenes), tuple(transports), tuple(pixels), tuple(half))
 
 
 def measure(
@@ -131,7 +128,7 @@ def measure(
             scene, light.transports[k], seed=tagged_seed(seed, k) if k else seed, noise=noise
         )
         phase = stack.fuse().decode()
-        cloud = reconstruct(used, phase, light.truths[k], seed=seed).cloud
+        cloud = reconstruct(used, phase, seed=seed).cloud
         views.append([points_of(cloud, own, light.half_px[k]) for own in light.pixels[k]])
     return measured_place(light.place, registered(light.place, views, register))
 

@@ -26,10 +26,10 @@ from slbench.patterns import decode
 from slbench.rig import Pose, Rig
 from slbench.rig.parameters import RIG_PARAMETERS, moved
 from slbench.scene.model import Scene
-from slbench.score.alignment import best_motion
 from slbench.score.features import fit_features
 from slbench.simulate.expose import lighting, move_pictures, radiance_batches, shutter_for
 from slbench.simulate.lights import Lights
+from slbench.simulate.reconstruct import joining_motion
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
@@ -132,7 +132,10 @@ class Measurement:
         points, sensitivity = meet(rig, self._pixels[mask], axes, panel[mask], sigma[mask])
         good = np.isfinite(points.sum(axis=1)) & np.isfinite(sensitivity.sum(axis=(1, 2)))
         chosen = np.flatnonzero(mask)[good]
-        return self._of_points(points[good], chosen, values)
+        points = points[good]
+        if self._align:
+            points = joining_motion(self._scene, rig, axes).to_world(points)
+        return self._of_points(points, chosen, values)
 
     def true(self) -> Array:
         """Return the measurands (m,) of the true points of the same pixels."""
@@ -152,9 +155,6 @@ class Measurement:
     def _of_points(
         self, points: Array, chosen: NDArray[np.intp], values: Mapping[str, Any]
     ) -> Array:
-        if self._align:
-            inner = self._smooth[chosen]
-            points = best_motion(points[inner], self._true[chosen][inner]).to_world(points)
         found: dict[int, Sequence[Any]] = {}
         for k in {one.item for one in self.measurands}:
             item, own = self._scene.objects[k], self._owner[chosen] == k
@@ -162,7 +162,7 @@ class Measurement:
             if self._lines:
                 lines = self._pixels[chosen[own], 0 if "u" in self._scene.sequence.axes else 1]
             part = item.artefact, item.pose, lines, self._scene.rig, self._smooth[chosen[own]]
-            found[k] = fit_features(points[own], *part, level=self._align)
+            found[k] = fit_features(points[own], *part)
         return np.array([self._corrected(one, found[one.item], values) for one in self.measurands])
 
     def _corrected(self, one: Measurand, scores: Sequence[Any], values: Mapping[str, Any]) -> float:

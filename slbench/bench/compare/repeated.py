@@ -160,7 +160,7 @@ def scan_repeats(
         fused = stack.fuse(weights)
         shots, phase, weighed = fused.capture, given.decode(fused), fused.weights
         clock.append(time.perf_counter())
-        made = reconstruct(scene, phase, truth, seed=own)
+        made = reconstruct(scene, phase, seed=own)
         cloud = made.cloud
         for doubt in calibration_doubts(scene, phase, truth, made) if r == 0 else ():
             warn_user(f"scene {scene.name}: calibration", doubt)
@@ -267,7 +267,7 @@ def _floors(
         sequence, projector = scene.sequence, scene.rig.projector
         how = (given.decoder, given.response)
         coordinates = noise_free_coordinates(lights, sequence, projector, weights, *how)
-        cloud = reconstruct(scene, phase_map(coordinates, sigma), truth, seed=seed).cloud
+        cloud = reconstruct(scene, phase_map(coordinates, sigma), seed=seed).cloud
         return cloud.image(cloud.points).reshape(-1, 3)[pixels]
 
     found, half = points(transports), halves(transports)
@@ -370,11 +370,10 @@ def _steps(
     owner = np.where(chosen, truth.object_id[cloud.pixels[:, 1], cloud.pixels[:, 0]], -1)
     # As in a score: errors go together along the camera line that follows a panel line.
     line = cloud.pixels[:, 0 if "u" in cloud.axes else 1]
-    level = scene.calibration is not None and scene.calibration.align
     for k in stepped:
         own, item = owner == k, scene.objects[k]
         placed = cloud.points[own], item.artefact, item.pose, line[own]
-        for feature in fit_features(*placed, level=level):
+        for feature in fit_features(*placed):
             if isinstance(feature, StepScore):
                 found[k, feature.name] = feature
     return found

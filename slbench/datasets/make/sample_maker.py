@@ -207,7 +207,7 @@ def _measure(
                     transport, posed.sequence, posed.rig.projector, truth
                 )
             floor = floors[pattern_set]
-            cloud = reconstruct(posed, phase, truth, seed=own).cloud
+            cloud = reconstruct(posed, phase, seed=own).cloud
             cloud = cloud.with_steady(floor.sampling_px)
             cloud = cloud.with_steady(ripple_rms_px(ripples(phase, posed.sequence)))
             result = score(cloud, truth, phase, posed.objects, posed.rig)

@@ -320,8 +320,7 @@ def _scored(
     away = np.linalg.norm(errors, axis=1)
     expected = expected_deviations(cloud, away, size, expected_um)
     share = check_part(cloud, away, expected, f"what {against.name} scanned")
-    level = aligned or against.motion is not None
-    found = score(triangulated, truth, phase, against.objects, against.rig, errors, level)
+    found = score(triangulated, truth, phase, against.objects, against.rig, errors, aligned)
     if "u" not in cloud.scalars and "sigma" not in cloud.scalars:
         nan = float("nan")
         found = replace(found, predicted_sigma_mm=nan, predicted_u_mm=nan)

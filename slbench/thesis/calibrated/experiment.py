@@ -2,9 +2,9 @@
 
 A chequerboard is rendered in twelve free poses before the chapter's rig and captured anew, with
 noise of its own, for every calibration (``slbench calibrate board``).  The same scans of the step
-block are then triangulated with each calibrated rig, moved to the truth by the best rigid motion,
-as a calibration's world is where its boards lay, and scored.  What repeats do not average out is
-steady.
+block are then triangulated with each calibrated rig, whose world is joined to the scene's over the
+whole volume, as a calibration's world is where its boards lay, and scored.  What repeats do not
+average out is steady.
 """
 
 from __future__ import annotations
@@ -201,8 +201,8 @@ def step_heights(
         phase = stack.fuse().decode()
         for k, rig in enumerate(rigs):
             made = replace(scene, calibration=Calibration(rig=rig, align=True))
-            cloud = reconstruct(made, phase, truth).cloud
-            scored = score(cloud, truth, phase, scene.objects, scene.rig, level=True)
+            cloud = reconstruct(made, phase).cloud
+            scored = score(cloud, truth, phase, scene.objects, scene.rig)
             heights[k, r] = [step.measured_mm for step in scored.steps]
     return heights
 
