@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from slbench.cli.common import Json, pose_of, print_json, print_table
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.units import Unit
 from slbench.core.validation.types import Positive
-
-Unit = Literal["um", "mm", "cm", "inch", "m"]
 
 
 @command("slbench score out/step-block --truth out/step-block --report out/score.html")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,12 +22,11 @@ from slbench.cli.common import (
 )
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.units import Unit
 from slbench.core.validation.types import Length, Repeats
 
 if TYPE_CHECKING:
     from slbench.cloud.files import MeasuredCloud
-
-Unit = Literal["um", "mm", "cm", "inch", "m"]
 
 
 @command("slbench terms siemens-star --preview --repeats 5")

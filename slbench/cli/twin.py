@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -20,6 +20,7 @@ from slbench.cli.common import (
 )
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
+from slbench.core.units import Unit
 from slbench.core.validation.types import Bounces, Samples
 
 
@@ -47,9 +48,7 @@ def twin(
         list[Path] | None,
         typer.Option(help="Another capture of the same, unmoved, to judge by; give each."),
     ] = None,
-    unit: Annotated[
-        Literal["um", "mm", "cm", "inch", "m"] | None, typer.Option(help="Of mesh files.")
-    ] = None,
+    unit: Annotated[Unit | None, typer.Option(help="Of mesh files.")] = None,
     material: Annotated[
         list[str] | None,
         typer.Option(help="Of each object, or of all.  [default: matt-white-spray]"),

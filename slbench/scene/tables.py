@@ -14,6 +14,7 @@ from pydantic import Field, model_validator
 
 from slbench.capture.focus import MAX_SETTINGS, Focus
 from slbench.core.errors import InputError
+from slbench.core.units import Unit
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import (
     Blur,
@@ -159,7 +160,7 @@ class ObjectTable(Parameters):
 
     artefact: str | None = None
     mesh: str | None = None
-    unit: Literal["um", "mm", "cm", "inch", "m"] | None = None
+    unit: Unit | None = None
     centre: bool = False
     normals: Literal["file", "facets", "smooth"] | None = None
     kind: str | None = None

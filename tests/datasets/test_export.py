@@ -29,16 +29,6 @@ from slbench.simulate.scan import scan
 RECIPE = Recipe("1,10", seed=3)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return small.write_dataset(tmp_path_factory.mktemp("data") / "small")
-
-
-@pytest.fixture(scope="module")
-def data(folder):
-    return datasets.open_dataset(folder)
-
-
 def read(path):
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     assert image is not None

@@ -41,6 +41,7 @@ from slbench.core import resources
 from slbench.core.errors import InputError, located
 from slbench.core.io import read_toml
 from slbench.core.registry import quoted
+from slbench.core.units import Unit
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Finite, Length, NotNegative, Word
 from slbench.core.validation.values import validated
@@ -51,7 +52,6 @@ from slbench.rig.pose import checked_rotation
 PLACES_FILE = "places.toml"
 
 Register = Literal["poses", "spheres"]
-Unit = Literal["um", "mm", "cm", "inch", "m"]
 
 
 class _Temperature(Parameters):

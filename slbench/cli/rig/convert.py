@@ -14,9 +14,9 @@ from slbench.cli.rig.given import (
     Order,
     PitchCamera,
     PitchProjector,
+    RigUnit,
     SizeCamera,
     SizeProjector,
-    Unit,
     stated_of,
 )
 from slbench.core.errors import InputError
@@ -32,7 +32,7 @@ def convert(
         str | None,
         typer.Option(help="Write another program's format: opencv, slstudio, bouguet, ros, ..."),
     ] = None,
-    unit: Unit = None,
+    unit: RigUnit = None,
     order: Order = None,
     size_camera: SizeCamera = None,
     size_projector: SizeProjector = None,

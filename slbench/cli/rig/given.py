@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slbench.cli.common import size_of
+from slbench.core.units import Unit
 from slbench.core.validation.types import Interval, Positive
 
 if TYPE_CHECKING:
     from slbench.rig.files.entries import Stated
 
-Unit = Annotated[
-    Literal["um", "mm", "cm", "inch", "m"] | None,
+RigUnit = Annotated[
+    Unit | None,
     typer.Option(help="Unit of the translation, where the file does not say."),
 ]
 Order = Annotated[

@@ -14,9 +14,9 @@ from slbench.cli.rig.given import (
     Order,
     PitchCamera,
     PitchProjector,
+    RigUnit,
     SizeCamera,
     SizeProjector,
-    Unit,
     stated_of,
 )
 
@@ -25,7 +25,7 @@ from slbench.cli.rig.given import (
 def show(
     files: Annotated[list[Path], typer.Argument(help="A rig: one file, or all that it is in.")],
     out: Annotated[Path | None, typer.Option(help="A PNG of the rig, to scale.")] = None,
-    unit: Unit = None,
+    unit: RigUnit = None,
     order: Order = None,
     size_camera: SizeCamera = None,
     size_projector: SizeProjector = None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
@@ -12,6 +12,7 @@ from slbench.cli.lazy import command
 from slbench.cli.scene.asking import Asking
 from slbench.cli.scene.output import Overwrite, check_scene_output
 from slbench.core.errors import warn_user
+from slbench.core.units import Unit
 from slbench.core.validation.types import FINITE, Interval
 
 #: Focal lengths, distances and ratios that there are: the least and the most.
@@ -64,7 +65,7 @@ def new(
         typer.Option("--object", help="A shipped artefact, or a file beside the scene."),
     ] = None,
     unit: Annotated[
-        Literal["um", "mm", "cm", "inch", "m"] | None,
+        Unit | None,
         typer.Option(help="Of a mesh file.  [default: mm]"),
     ] = None,
     overwrite: Overwrite = False,

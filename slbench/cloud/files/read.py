@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Literal
 
 from slbench.cloud.files.measured import MeasuredCloud
 from slbench.core.errors import InputError
+from slbench.core.units import Unit
 from slbench.core.validation.values import checked
-
-#: Unit of a file's lengths.
-Unit = Literal["um", "mm", "cm", "inch", "m"]
 
 _HERE = "slbench.cloud.files"
 _TEXT = f"{_HERE}.text:read_text_cloud"

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.errors import InputError, warn_user
-from slbench.core.units import MILLIMETRES
+from slbench.core.units import MILLIMETRES, Unit
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import MinLen
 from slbench.objects.artefact import Artefact, Mesh
@@ -54,7 +54,7 @@ class MeshParameters(Parameters):
     """
 
     path: Annotated[str, MinLen(1)]
-    unit: Literal["um", "mm", "cm", "inch", "m"]
+    unit: Unit
     centre: bool = False
     normals: Literal["file", "facets", "smooth"] = "file"
 

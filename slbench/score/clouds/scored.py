@@ -11,10 +11,11 @@ import numpy as np
 
 from slbench.cloud.files.measured import MeasuredCloud
 from slbench.cloud.files.panel import read_panel
-from slbench.cloud.files.read import READERS, Unit, cloud_file, read_cloud
+from slbench.cloud.files.read import READERS, cloud_file, read_cloud
 from slbench.core.errors import InputError
 from slbench.core.io import OutputFolder, write_json, write_ply
 from slbench.core.show.drawing import write_figure
+from slbench.core.units import Unit
 from slbench.core.validation.types import Positive
 from slbench.core.validation.values import checked
 from slbench.objects import Artefact, build_artefact, load_artefact
