@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import json
 import time
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -205,7 +205,7 @@ def test_registered_views_measure_as_single_ones_do(register):
 
 
 def replace_views(light, count):
-    names = ("scenes", "transports", "truths", "pixels", "half_px")
+    names = [field.name for field in fields(light) if field.name != "place"]
     parts = {name: getattr(light, name)[:count] for name in names}
     return replace(light, **parts)
 

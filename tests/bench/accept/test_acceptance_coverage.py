@@ -43,7 +43,7 @@ def covariance() -> ParameterCovariance:
 
 def cropped(light: Light) -> Light:
     """The same light in the rows of the camera that the standard is in, without its halves."""
-    scenes, transports, truths, pixels = [], [], [], []
+    scenes, transports, pixels = [], [], []
     for k, scene in enumerate(light.scenes):
         rows = np.flatnonzero(np.any(light.pixels[k], axis=(0, 2)))
         own = slice(max(int(rows[0]) - 1, 0), int(rows[-1]) + 2)
@@ -53,17 +53,9 @@ def cropped(light: Light) -> Light:
         rig = scene.rig.having(**{scene.rig.only.camera: smaller})
         scenes.append(replace(scene, rig=rig))
         transports.append(tuple(one.band(own) for one in light.transports[k]))
-        truth = light.truths[k]
-        truths.append(replace(truth, **{name: a[own] for name, a in vars(truth).items()}))
         pixels.append(tuple(one[own] for one in light.pixels[k]))
-    return Light(
-        light.place,
-        tuple(scenes),
-        tuple(transports),
-        tuple(truths),
-        tuple(pixels),
-        ({},) * len(scenes),
-    )
+    halves = ({},) * len(scenes)
+    return Light(light.place, tuple(scenes), tuple(transports), tuple(pixels), halves)
 
 
 @pytest.fixture(autouse=True)
