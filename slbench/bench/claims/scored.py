@@ -25,12 +25,11 @@ from slbench.bench.statistics import Interval
 from slbench.core.errors import InputError, located
 from slbench.core.io import read_json
 from slbench.scene.model import Scene
+from slbench.score.clouds.tiles import CONFIDENCE, widening
 from slbench.score.points import Score
 
 Array = NDArray[np.float64]
 
-#: Confidence of the intervals in a score's file.
-_STORED = 0.95
 #: Numbers of a feature and what states their standard uncertainty.
 _UNCERTAINTY = re.compile(r"(radius_|diameter_|angle_|)(?:measured_|error_|deviation_|)(mm|deg)")
 
@@ -145,7 +144,9 @@ def _interval(
     value, quantile = row[name], float(norm.ppf(0.5 + 0.5 * confidence))
     known = stored.get("intervals", {}).get(name)
     if known is not None and None not in known:
-        wider = quantile / float(norm.ppf(0.5 + 0.5 * _STORED))
+        # Student's t of the tiles that the interval is by.
+        count = float(stored.get("interval_tiles", 1e9))
+        wider = widening(count, confidence) / widening(count, CONFIDENCE)
         low, high = (value + wider * (float(end) - value) for end in known)
         return Interval(value, low, high)
     head, _, last = name.rpartition(".")

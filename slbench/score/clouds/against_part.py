@@ -26,7 +26,7 @@ from slbench.score.clouds.placing import (
     plane_behind,
 )
 from slbench.score.clouds.surface import Nearest, Surface
-from slbench.score.clouds.tiles import tiles_of
+from slbench.score.clouds.tiles import effective_tiles, tiles_of
 from slbench.score.features import fit_features
 from slbench.score.points import Score, by_kind
 from slbench.score.values import FeatureScore
@@ -112,6 +112,7 @@ def score_against_part(
     share = check_part(cloud, away, expected, part.name)
     on = np.isfinite(away)
     errors = cloud.points[on] - near.point[on]
+    tiles = tiles_of(cloud.points[on])
     lines = _lines(cloud, on, part)
     features = fit_features(cloud.points[on], part, Pose(), lines, level=motion is not None)
     return CloudScore(
@@ -123,7 +124,8 @@ def score_against_part(
         deviation_mm=near.distance,
         share=share,
         expected=expected,
-        intervals=score_intervals(tiles_of(cloud.points[on]), away[on], errors[:, 2]),
+        intervals=score_intervals(tiles, away[on], errors[:, 2]),
+        tiles=effective_tiles(tiles),
         dropped=cloud.dropped,
         background=int(np.count_nonzero(other)),
         motion=motion,

@@ -30,7 +30,7 @@ from slbench.score.clouds.cloudscore import CloudScore, score_intervals
 from slbench.score.clouds.expected import check_part, expected_deviations, question_unit
 from slbench.score.clouds.placing import place_on_surface
 from slbench.score.clouds.surface import Surface
-from slbench.score.clouds.tiles import tiles_of
+from slbench.score.clouds.tiles import effective_tiles, tiles_of
 from slbench.score.points import point_errors, score
 
 Array = NDArray[np.float64]
@@ -339,5 +339,6 @@ def _scored(
         share=share,
         expected=expected,
         intervals=score_intervals(tiles, away[lit], errors[lit, 2]),
+        tiles=effective_tiles(tiles),
         dropped=cloud.dropped,
     )

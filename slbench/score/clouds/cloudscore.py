@@ -55,6 +55,8 @@ class CloudScore:
     expected : Expected
     intervals : mapping of str to (float, float)
         95 % intervals of numbers of the score (:mod:`slbench.score.clouds.tiles`).
+    tiles : float
+        How many tiles of equal size they are by; their Student's t has one degree of freedom less.
     dropped : int
         Points of the file that were not finite.
     background : int
@@ -76,6 +78,7 @@ class CloudScore:
     share: float
     expected: Expected
     intervals: Mapping[str, tuple[float, float]]
+    tiles: float
     dropped: int = 0
     background: int = 0
     motion: Pose | None = None
@@ -187,6 +190,7 @@ class CloudScore:
             "reference": {"kind": self.reference, "name": self.name},
             **self.score.to_dict(),
             "intervals": {name: list(ends) for name, ends in self.intervals.items()},
+            "interval_tiles": self.tiles,
             "dropped": self.dropped,
             "background": self.background,
             "within_three_expected": self.share,

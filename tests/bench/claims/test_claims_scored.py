@@ -81,6 +81,20 @@ def test_one_cloud_is_judged_by_its_uncertainty(tmp_path):
     )
 
 
+def test_intervals_of_few_tiles_are_stretched_by_students_t(tmp_path):
+    scored(tmp_path / "a")
+    path = tmp_path / "a" / "score.json"
+    stored = json.loads(path.read_text())
+    assert stored["interval_tiles"] > 20
+    value = stored["rms_mm"]
+    few = {"intervals": {"rms_mm": [value - 1e-3, value + 1e-3]}, "interval_tiles": 5.0}
+    path.write_text(json.dumps(stored | few))
+    claims = claims_in(tmp_path, {"quantity": "rms_mm", "max": 1.0, "confidence": 0.99})
+    measured = check_scored(claims, [tmp_path / "a"])[0].verdict.measured
+    # t of four degrees of freedom: 4.604 at 99 %, 2.776 at 95 %.
+    assert measured.high - measured.value == pytest.approx(1e-3 * 4.604 / 2.776, rel=1e-3)
+
+
 def test_several_clouds_are_repeats(tmp_path):
     folders = [tmp_path / f"cloud{k}" for k in range(4)]
     found = [scored(folder, seed=k) for k, folder in enumerate(folders)]
