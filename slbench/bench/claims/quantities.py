@@ -17,7 +17,7 @@ from __future__ import annotations
 import difflib
 import itertools
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -34,6 +34,7 @@ from slbench.score.values import (
     CircleScore,
     ConeScore,
     CylinderScore,
+    FeatureScore,
     PlaneScore,
     SpacingScore,
     SphereScore,
@@ -374,17 +375,22 @@ def values_of_score(score: Score, scene: Scene) -> dict[str, float]:
     values = {name: float(getattr(score, name)) for name in _SCALARS}
     for name in _BY_AXIS:
         values |= {f"{name}.{axis}": v for axis, v in getattr(score, name).items()}
+    for feature, item in scored_features(score, scene):
+        for name in feature.fields:
+            key = f"{feature.kind}[{feature.label}].{name}"
+            values[key] = float(getattr(item, name, float("nan")))
+    return values
+
+
+def scored_features(score: Score, scene: Scene) -> Iterator[tuple[Feature, FeatureScore | None]]:
+    """Yield the features of a scene, each with what a score has of it; None for nothing."""
     features = features_of(scene)
     for feature in features:
         same = [f for f in features if _plain(f) == _plain(feature)]
         scored = getattr(score, f"{feature.kind}s")
         items = [i for i in scored if (i.object, i.name) == _plain(feature)[1:]]
         # Of several objects of one name, a score does not say which one it missed.
-        item = items[same.index(feature)] if len(items) == len(same) else None
-        for name in feature.fields:
-            key = f"{feature.kind}[{feature.label}].{name}"
-            values[key] = float(getattr(item, name, float("nan")))
-    return values
+        yield feature, items[same.index(feature)] if len(items) == len(same) else None
 
 
 def _plain(feature: Feature) -> tuple[str, str, str]:

@@ -1,8 +1,10 @@
 """Claims held against clouds that were scored: real ones, or any (``slbench score``).
 
 One cloud tells a number with the uncertainty that its score states: that of a fit, or the interval
-by tiles.  Two or more are repeats, and judged as repeated scans are.  A claim's scene is not
-measured: it says which features there are.
+by tiles.  Two or more are repeats, and judged as repeated scans are.  The certificate of a declared
+dimension is uncertain as well, which no repeats average: its share widens the intervals of
+deviations from it, of one cloud (in quadrature) and of many.  A claim's scene is not measured: it
+says which features there are.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from scipy.stats import norm
 from slbench.bench.claims.check import Result
 from slbench.bench.claims.file import Claim, load_claims
 from slbench.bench.claims.pools import Pools
-from slbench.bench.claims.quantities import resolve, values_of_score
+from slbench.bench.claims.quantities import resolve, scored_features, values_of_score
 from slbench.bench.claims.verdicts import Status, Verdict, judge_each, judge_mean
 from slbench.bench.statistics import Interval
 from slbench.core.errors import InputError, located
@@ -27,6 +29,7 @@ from slbench.core.io import read_json
 from slbench.scene.model import Scene
 from slbench.score.clouds.tiles import CONFIDENCE, widening
 from slbench.score.points import Score
+from slbench.score.values import DimensionScore
 
 Array = NDArray[np.float64]
 
@@ -100,26 +103,47 @@ def _judged(claim: Claim, scene: Scene, scores: Sequence[dict[str, Any]], where:
         for limit in claim.limits
     ]
     bounds = tuple(limit.of(other) for limit, other in zip(claim.limits, others, strict=True))
+    names = resolve(claim.quantity, scene, where)
+    certificates = [_certificate(name, scores[0]["score"], scene) for name in names]
     if len(rows) > 1:
         pairs = zip(claim.limits, others, strict=True)
         margins = [limit.margin(own, other) for limit, other in pairs]
+        unsure = max(certificates) * float(norm.ppf(0.5 + 0.5 * claim.confidence))
         if claim.each is None:
-            verdict = judge_mean(own, margins, claim.confidence)
+            verdict = judge_mean(own, margins, claim.confidence, unsure)
         else:
-            verdict = judge_each(own, margins, claim.confidence, claim.each)
+            verdict = judge_each(own, margins, claim.confidence, claim.each, unsure)
     else:
-        verdict = _of_one(claim, resolve(claim.quantity, scene, where), scores[0], rows[0], where)
+        verdict = _of_one(claim, names, scores[0], rows[0], certificates, where)
     return Result(claim, verdict, own, bounds, 0.0)
 
 
+def _certificate(name: str, score: Score, scene: Scene) -> float:
+    """Return the standard uncertainty of the certified value that a number is a deviation from."""
+    head, _, last = name.rpartition(".")
+    if last.startswith(("deviation_", "error_")):
+        for feature, item in scored_features(score, scene):
+            if isinstance(item, DimensionScore) and head == f"{feature.kind}[{feature.label}]":
+                return item.certificate_uncertainty
+    return 0.0
+
+
 def _of_one(
-    claim: Claim, names: Sequence[str], stored: dict[str, Any], row: dict[str, float], where: str
+    claim: Claim,
+    names: Sequence[str],
+    stored: dict[str, Any],
+    row: dict[str, float],
+    certificates: Sequence[float],
+    where: str,
 ) -> Verdict:
     """Judge by the uncertainty that one score states."""
     if claim.each is not None or any(limit.quantity for limit in claim.limits):
         expected = "two scored clouds or more for shares and bounds that are measured"
         raise InputError(where, expected, "one")
-    intervals = [_interval(name, stored, row, claim.confidence, where) for name in names]
+    intervals = [
+        _interval(name, stored, row, unsure, claim.confidence, where)
+        for name, unsure in zip(names, certificates, strict=True)
+    ]
     measured = max(intervals, key=lambda one: one.value)
     if np.isnan([one.value for one in intervals]).any():
         none = Interval(float("nan"), float("nan"), float("nan"))
@@ -139,7 +163,12 @@ def _of_one(
 
 
 def _interval(
-    name: str, stored: dict[str, Any], row: dict[str, float], confidence: float, where: str
+    name: str,
+    stored: dict[str, Any],
+    row: dict[str, float],
+    certificate: float,
+    confidence: float,
+    where: str,
 ) -> Interval:
     value, quantile = row[name], float(norm.ppf(0.5 + 0.5 * confidence))
     known = stored.get("intervals", {}).get(name)
@@ -155,6 +184,7 @@ def _interval(
     if u is None:
         expected = "two scored clouds or more: one does not tell an interval of it"
         raise InputError(where, expected, f"one, of {name}")
+    u = float(np.hypot(u, certificate))
     low = value - quantile * u
     # A magnitude is not negative.
     return Interval(value, max(low, 0.0) if "error" in last else low, value + quantile * u)

@@ -103,7 +103,9 @@ class Verdict:
         }
 
 
-def judge_mean(values: ArrayLike, margins: Sequence[ArrayLike], confidence: float) -> Verdict:
+def judge_mean(
+    values: ArrayLike, margins: Sequence[ArrayLike], confidence: float, unsure: float = 0.0
+) -> Verdict:
     """Judge a claim on the mean.
 
     Parameters
@@ -113,6 +115,9 @@ def judge_mean(values: ArrayLike, margins: Sequence[ArrayLike], confidence: floa
     margins : sequence of (n,) float
         How far inside each bound (one or two), repeat by repeat.
     confidence : float
+    unsure : float
+        How far all values may be off alike at that confidence, which no repeats average: it widens
+        the intervals in quadrature.
 
     Returns
     -------
@@ -124,7 +129,7 @@ def judge_mean(values: ArrayLike, margins: Sequence[ArrayLike], confidence: floa
     if missing:
         none = Interval(float("nan"), float("nan"), float("nan"))
         return Verdict("fails", len(x), missing, none, none)
-    intervals = [margin_interval(row, confidence) for row in m]
+    intervals = [_wider(margin_interval(row, confidence), unsure) for row in m]
     nearest = min(intervals, key=lambda interval: interval.low)
     status: Status = "undecided"
     if any(interval.high < 0.0 for interval in intervals):
@@ -134,9 +139,21 @@ def judge_mean(values: ArrayLike, margins: Sequence[ArrayLike], confidence: floa
     decide = None
     if status == "undecided":
         open_ones = [row for row, i in zip(m, intervals, strict=True) if i.low < 0.0]
-        needed = [_repeats_for_mean(row, confidence) for row in open_ones]
+        # Repeats do not decide what they do not average.
+        needed = [
+            _repeats_for_mean(row, confidence) if abs(np.mean(row)) > unsure else None
+            for row in open_ones
+        ]
         decide = None if None in needed else max(n for n in needed if n is not None)
-    return Verdict(status, len(x), 0, mean_interval(x, confidence), nearest, None, decide)
+    measured = _wider(mean_interval(x, confidence), unsure)
+    return Verdict(status, len(x), 0, measured, nearest, None, decide)
+
+
+def _wider(interval: Interval, unsure: float) -> Interval:
+    value, low, high = interval
+    return Interval(
+        value, value - np.hypot(value - low, unsure), value + np.hypot(high - value, unsure)
+    )
 
 
 def margin_interval(margin: ArrayLike, confidence: float) -> Interval:
@@ -192,7 +209,11 @@ def _reach(margin: Array, n: ArrayLike, confidence: float) -> tuple[Array, Array
 
 
 def judge_each(
-    values: ArrayLike, margins: Sequence[ArrayLike], confidence: float, share: float
+    values: ArrayLike,
+    margins: Sequence[ArrayLike],
+    confidence: float,
+    share: float,
+    unsure: float = 0.0,
 ) -> Verdict:
     """Judge a claim on single measurements: at least a share of them lies within the bounds.
 
@@ -202,6 +223,9 @@ def judge_each(
         As for :func:`judge_mean`; what was not measured does not lie within.
     share : float
         In (0, 1).
+    unsure : float
+        How far all values may be off alike: the interval of the share is that of values so far
+        outside at its low end, and inside at its high one.
     """
     x, m = _arrays(values, margins)
     seen = np.isfinite(x) & np.isfinite(m).all(axis=0)
@@ -209,12 +233,20 @@ def judge_each(
     within[seen] = (m[:, seen] >= 0.0).all(axis=0)
     n, k = len(x), int(np.count_nonzero(within))
     found = share_interval(k, n, confidence)
+    if unsure > 0.0:
+        low, high = (
+            int(np.count_nonzero((m[:, seen] >= off).all(axis=0))) for off in (unsure, -unsure)
+        )
+        ends = share_interval(low, n, confidence).low, share_interval(high, n, confidence).high
+        found = Interval(found.value, *ends)
     status: Status = "undecided"
     if found.low >= share:
         status = "holds"
     elif found.high < share:
         status = "fails"
-    decide = _repeats_for_share(k / n, share, confidence, n) if status == "undecided" else None
+    decide = None
+    if status == "undecided" and unsure == 0.0:
+        decide = _repeats_for_share(k / n, share, confidence, n)
     none = Interval(float("nan"), float("nan"), float("nan"))
     measured = mean_interval(x, confidence) if np.isfinite(x).all() else none
     margin = Interval(*(limit - share for limit in found))

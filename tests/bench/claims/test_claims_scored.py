@@ -170,3 +170,51 @@ def test_the_command_says_and_writes_the_verdicts(tmp_path):
     refused = run_cli("check", str(path), "--scored", str(tmp_path / "a"), "--preview")
     assert refused.status == 2
     assert "--preview" in refused.err
+
+
+def plate_scored(tmp_path, count, certificate):
+    """Write scores of the plate whose pin is 20 um too high, of a certified height."""
+    rng = np.random.default_rng(5)
+    plate = sl.load_artefact("feature-plate")
+    scored(tmp_path / "block")
+    found = json.loads((tmp_path / "block" / "score.json").read_text())
+    (height,) = (d for d in plate.dimensions if d.name == "pin height")
+    folders = []
+    for k in range(count):
+        own = {
+            **{"object": plate.name, "name": height.name, "type": height.type, "unit": "mm"},
+            **{"nominal": 8.0, "measured": 8.020 + 1e-4 * rng.normal(), "uncertainty": 1e-4},
+            **{"certificate_uncertainty": certificate, "lower": None, "upper": None},
+            **{"verdict": "", "noise": 0.0},
+        }
+        folder = tmp_path / f"plate{k}"
+        folder.mkdir()
+        (folder / "score.json").write_text(json.dumps(found | {"dimensions": [own]}))
+        folders.append(folder)
+    return folders
+
+
+@pytest.mark.parametrize("count", [1, 12])
+@pytest.mark.parametrize("bound", [0.030, 0.010])
+@pytest.mark.parametrize("certificate", [1e-6, 0.010])
+def test_the_certificate_is_in_the_interval(tmp_path, count, bound, certificate):
+    """What a certificate leaves open of a deviation, no repeats average."""
+    folders = plate_scored(tmp_path, count, certificate)
+    write_scene(tmp_path, objects=[{"artefact": "feature-plate"}])
+    path = tmp_path / "some.claims.toml"
+    shared = {"scene": "small.toml", "quantity": "dimension[pin height].deviation_mm"}
+    plain = shared | {"quantity": "dimension[pin height].measured_mm"}
+    claims = [shared | {"name": "deviation", "max": bound}]
+    claims += [plain | {"name": "size", "max": 8.0 + bound}]
+    if count > 1:
+        claims.append(shared | {"name": "each", "max": bound, "each": 0.5})
+    path.write_text(tomli_w.dumps({"claim": claims}))
+    found = check_scored(path, folders)
+    clear = "holds" if bound > 0.020 else "fails"
+    # 10 um, half of a distance of 1.96 standard deviations: undecided.
+    expected = "undecided" if certificate == 0.010 else clear
+    assert [r.outcome for r in found] == [expected, clear, *[expected] * (count > 1)]
+    if certificate == 0.010:
+        measured = found[0].verdict.measured
+        assert measured.high - measured.value == pytest.approx(0.0196, rel=0.01)
+        assert found[0].verdict.decide is None
