@@ -61,10 +61,13 @@ def accept(
     against: Annotated[
         Path | None, typer.Option(help="Hold it to the claims.toml of an earlier acceptance.")
     ] = None,
-    views: Annotated[Views, typer.Option(help="Registered views of each place.")] = 1,
+    views: Annotated[
+        Views | None, typer.Option(help="Registered views of each place.  [default: 1]")
+    ] = None,
     register: Annotated[
-        Literal["poses", "spheres"], typer.Option(help="How views are registered.")
-    ] = "poses",
+        Literal["poses", "spheres"] | None,
+        typer.Option(help="How views are registered.  [default: poses]"),
+    ] = None,
     spp: Annotated[Samples | None, typer.Option(help="Monte Carlo samples a pixel.")] = None,
     noise: Annotated[
         bool, typer.Option("--noise/--no-noise", help="Detector noise; rounding stays.")
@@ -94,7 +97,7 @@ def accept(
     from slbench.bench.accept.definitions import STANDARDS
     from slbench.bench.accept.held import (
         ACCEPTANCE_FOLDER,
-        compared,
+        held_to,
         write_acceptance,
         write_acceptance_junit,
     )
@@ -112,8 +115,8 @@ def accept(
     if real:
         given = {
             "--standard": standard,
-            "--views": views > 1,
-            "--register": register != "poses",
+            "--views": views,
+            "--register": register,
             "--spp": spp,
             "--no-noise": not noise,
             "--set": changes,
@@ -123,12 +126,16 @@ def accept(
         for option, value in given.items():
             if value:
                 raise InputError(option, "none with a folder: it is of scenes", option)
-        from slbench.bench.accept.specification import read_specification
+        from slbench.bench.accept.specification import PLACES_FILE, read_specification
 
+        views = max(
+            (len(p.files) for p in read_specification(folder / PLACES_FILE).places), default=1
+        )
         if mpe is not None and (own := read_specification(mpe).standards):
             expected = "limits alone with a folder: its certificates stand in places.toml"
             raise InputError(f"--mpe {mpe}", expected, ", ".join(f"[standards.{k}]" for k in own))
     else:
+        views, register = views or stated.views or 1, register or stated.register or "poses"
         loaded = load_changed(
             scene,
             changes,
@@ -140,6 +147,8 @@ def accept(
         name = loaded.name
         kinds = tuple(kind for kind in STANDARDS if standard is None or kind in standard)
         places = planned(loaded, stated.standards, kinds=kinds, counts=stated.counts, views=views)
+    if stated.held and stated.views not in (None, views):
+        raise InputError("--against", f"{stated.views} views of each place, as it was held", views)
     target = out or Path("out") / f"accept-{name}"
     ACCEPTANCE_FOLDER.check(target, "--out")
     if junit is not None:
@@ -158,12 +167,12 @@ def accept(
                 loaded,
                 places,
                 limits=stated.limits,
-                register=register,
+                register=register or "poses",
                 seed=seed,
                 noise=noise,
                 on_progress=report,
             )
-        result = replace(result, worse=compared(result, stated.held))
+        result = held_to(result, stated.held)
         write_acceptance(result, target)
         if junit is not None:
             write_acceptance_junit(result, junit)
@@ -178,7 +187,7 @@ def accept(
         table = result.table()
         print_table(table, left=2)
         print(table.note)
-        for line in (result.why(), *(one.text() for one in result.worse)):
+        for line in (result.why(), *result.against()):
             if line:
                 print(line)
         print(f"Written to {target}: open {page or target / 'acceptance.png'}")

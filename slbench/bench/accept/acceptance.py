@@ -38,6 +38,9 @@ _UM = 1e3
 #: Share of a size's variance that more samples would take away, beyond which it is said.
 _MOST_BY_SAMPLES = 0.5
 
+#: Of a test that an earlier acceptance holds the instrument to.
+UNMEASURED = "held, and not measured"
+
 NOTE = (
     "u: standard uncertainty of the test (certificate, temperature, fit, sampling). Pass and fail "
     "by ISO 14253-1 with a guard band of 1.645 u; fewer places than VDI/VDE 2634-2 asks for (2 of "
@@ -68,6 +71,8 @@ class Acceptance:
     seed : int
     worse : tuple of Worse
         Tests that are worse than an earlier acceptance holds the instrument to.
+    unmeasured : tuple of str
+        Tests that it holds the instrument to, and this one has not.
     parameters : mapping
         For the provenance.
     """
@@ -81,6 +86,7 @@ class Acceptance:
     traces: int = 0
     seed: int = 0
     worse: tuple[Worse, ...] = ()
+    unmeasured: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Tested:
@@ -89,10 +95,13 @@ class Acceptance:
 
     @property
     def outcome(self) -> Outcome:
-        """Fail if one test fails or is worse than it was, else undecided if one is, else pass."""
-        if self.worse:
-            return "fail"
-        return overall([one.outcome for one in self.tests])
+        """Fail if one test fails or is worse than it was, else undecided if one is, else pass.
+
+        A test that is held and was not measured is undecided.
+        """
+        held: list[Outcome] = ["fail" for _ in self.worse]
+        held += ["undecided" for _ in self.unmeasured]
+        return overall([*held, *(one.outcome for one in self.tests)])
 
     @property
     def status(self) -> int:
@@ -136,6 +145,11 @@ class Acceptance:
             words += "; as well by " + ", ".join(one.text() for one in others)
         return words
 
+    def against(self) -> tuple[str, ...]:
+        """Return what an earlier acceptance makes of this one, a line each."""
+        lacking = (f"{name}: {UNMEASURED}" for name in self.unmeasured)
+        return (*(one.text() for one in self.worse), *lacking)
+
     def plot(self) -> Any:
         """Return a matplotlib figure: the places in the volume, and the errors beside limits."""
         return figure(self)
@@ -155,6 +169,7 @@ class Acceptance:
             ],
             "explanations": [vars(one) for one in self.explanations],
             "worse": [vars(one) for one in self.worse],
+            "unmeasured": list(self.unmeasured),
             "note": NOTE,
         }
 
@@ -310,7 +325,11 @@ def accept(
         covariance=known,
         traces=light.traces - before,
         seed=seed,
-        parameters={"scene": scene.specification, "patterns": scene.sequence.to_dict()},
+        parameters={
+            "scene": scene.specification,
+            "patterns": scene.sequence.to_dict(),
+            "register": register,
+        },
     )
     if doubt := _samples_doubt(found):
         warn_user(f"scene {scene.name}", doubt)

@@ -1,9 +1,10 @@
 """From measured points of standards to the errors that are tested, each with its uncertainty.
 
 A place gives one value of each test of its standard.  The uncertainty of a value has parts: the
-certificate's, that of temperature and expansion, that of the fit (noise of the points), and, for
-what is simulated, that of the renderer's samples.  What the calibration's covariance does to a
-value stands beside them: it belongs to the instrument that is tested, not to the test.
+certificate's, that of the coefficient of expansion, of temperature, of the fit (noise of the
+points), and, for what is simulated, that of the renderer's samples.  Of the same standard measured
+again the first two are the same and cancel from a difference.  What the calibration's covariance
+does to a value stands beside them: it belongs to the instrument that is tested, not to the test.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ from slbench.score.residuals import SET_ASIDE
 
 Array = NDArray[np.float64]
 _UM = 1e-3
+#: Parts of the uncertainty that each measurement has anew.
+_OF_ITS_OWN = ("temperature", "fit", "sampling")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,8 @@ class PlaceError:
     measured_mm, certified_mm : float
         What is compared; the certified form's for a range.
     u_mm : mapping of str to float
-        Standard uncertainties by part: ``certificate``, ``temperature``, ``fit``, ``sampling``.
+        Standard uncertainties by part: ``certificate``, ``expansion``, ``temperature``, ``fit``,
+        ``sampling``.
     u_calibration_mm : float
         That the covariance of the measuring rig gives the value; no part of the test's.
     """
@@ -83,6 +87,11 @@ class PlaceError:
     def u_test_mm(self) -> float:
         """Standard uncertainty of the test."""
         return math.hypot(*self.u_mm.values())
+
+    @property
+    def u_repeat_mm(self) -> float:
+        """Standard uncertainty without what is the same whenever this standard is measured."""
+        return math.hypot(*(self.u_mm.get(name, 0.0) for name in _OF_ITS_OWN))
 
     @property
     def interval_mm(self) -> tuple[float, float]:
@@ -157,6 +166,7 @@ class Measured:
             size = certified(TESTS[name], standard)
             u = {
                 "certificate": _certificate_mm(TESTS[name], standard),
+                "expansion": standard.u_expansion_mm(size) if TESTS[name].signed else 0.0,
                 "temperature": standard.u_temperature_mm(size) if TESTS[name].signed else 0.0,
                 "fit": fit[name],
                 "sampling": abs(sampled[name] - error),

@@ -19,7 +19,8 @@
     clouds = ["bar-1-left.ply", "bar-1-right.ply"]    # one a view
     registered_by = "spheres"
 
-What ``accept`` writes to hold an instrument has the same tables, and ``[[held]]``.
+What ``accept`` writes to hold an instrument has the same tables, ``views``, ``registered_by``, what
+was rendered (``[standards.KIND.rendered]``: the object's parameters) and ``[[held]]``.
 """
 
 from __future__ import annotations
@@ -72,6 +73,7 @@ class _Standard(Parameters):
     u_expansion_per_K: NotNegative = 0.0
     temperature: _Temperature | None = None
     places: Annotated[int, Field(ge=1, le=1000)] | None = None
+    rendered: dict[str, Any] | None = None
 
 
 class _Place(Parameters):
@@ -91,6 +93,8 @@ class _Held(Parameters):
 
 class _File(Parameters):
     name: Word | None = None
+    views: Annotated[int, Field(ge=1, le=12)] | None = None
+    registered_by: Register | None = None
     mpe: dict[str, Any] = Field(default_factory=dict)
     standards: dict[str, dict[str, Any]] = Field(default_factory=dict)
     rig: Word | None = None
@@ -137,7 +141,11 @@ class Specification:
     unit : str or None
         Of the clouds' lengths.
     held : mapping of str to (float, float)
-        The worst error of an earlier acceptance and its standard uncertainty, mm, by test.
+        The worst error of an earlier acceptance and its own standard uncertainty, mm, by test.
+    views : int or None
+        Of each place of a virtual scanner.
+    register : {"poses", "spheres"} or None
+        How they are registered.
     """
 
     limits: Mapping[str, Limit] = field(default_factory=dict)
@@ -147,6 +155,8 @@ class Specification:
     rig: Path | None = None
     unit: Unit | None = None
     held: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    views: int | None = None
+    register: Register | None = None
 
 
 def read_specification(path: str | Path) -> Specification:
@@ -200,6 +210,8 @@ def read_specification(path: str | Path) -> Specification:
         rig=rig,
         unit=file.unit,
         held=held,
+        views=file.views,
+        register=file.registered_by,
     )
 
 
@@ -212,8 +224,12 @@ def _kind(name: str, where: str) -> StandardKind:
 
 def _standard(kind: StandardKind, table: _Standard, where: str) -> Standard:
     """Return a standard; sizes that are not stated are those of the object that is named."""
-    stated = table.model_dump(exclude={"object", "temperature", "places"})
-    rendered = None
+    stated = table.model_dump(exclude={"object", "temperature", "places", "rendered"})
+    rendered: Mapping[str, Any] | None = table.rendered
+    if rendered is not None:
+        if table.object is not None:
+            raise InputError(where, "object or rendered", "both")
+        objects.build_artefact(kind, rendered, f"{where}.rendered")
     if table.object is not None:
         with located(f"{where}.object"):
             artefact = objects.load_artefact(table.object)
@@ -272,4 +288,6 @@ def overridden(first: Specification, other: Specification) -> Specification:
         limits={**first.limits, **other.limits},
         standards={**first.standards, **other.standards},
         counts={**first.counts, **other.counts},
+        views=other.views or first.views,
+        register=other.register or first.register,
     )

@@ -119,11 +119,12 @@ class Standard(Value):
         return length_mm * (1.0 + self.expansion_per_K * warmer)
 
     def u_temperature_mm(self, length_mm: float) -> float:
-        """Return the standard uncertainty that temperature and expansion give a length, mm."""
-        warmer = self.temperature.celsius - REFERENCE_C
-        return length_mm * math.hypot(
-            self.expansion_per_K * self.temperature.u_celsius, self.u_expansion_per_K * warmer
-        )
+        """Return the standard uncertainty that the temperature gives a length, mm."""
+        return length_mm * abs(self.expansion_per_K) * self.temperature.u_celsius
+
+    def u_expansion_mm(self, length_mm: float) -> float:
+        """Return the standard uncertainty that the coefficient of expansion gives a length, mm."""
+        return length_mm * self.u_expansion_per_K * abs(self.temperature.celsius - REFERENCE_C)
 
     def artefact(self) -> Artefact:
         """Return the standard as an object that can be rendered, grown by its temperature."""

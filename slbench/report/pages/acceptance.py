@@ -7,7 +7,7 @@ from slbench.core.io import provenance
 from slbench.core.show.document import Cell, Page, Part, Picture, Table, Text
 
 _UM = 1e3
-_PARTS = ("certificate", "temperature", "fit", "sampling")
+_PARTS = ("certificate", "expansion", "temperature", "fit", "sampling")
 
 
 def acceptance_page(result: Acceptance) -> Page:
@@ -22,7 +22,7 @@ def acceptance_page(result: Acceptance) -> Page:
     Page
     """
     words = f"Verdict: {result.outcome}. {result.why()}".strip()
-    words += "".join(f" {one.text()}." for one in result.worse)
+    words += "".join(f" {line}." for line in result.against())
     symbols = tuple((one.test.words, one.test.label(result.views)) for one in result.tests)
     parts: list[Part] = [Text("Verdict", words), result.table()]
     caption = (
@@ -39,9 +39,9 @@ def acceptance_page(result: Acceptance) -> Page:
             rows.append(
                 (test.test.words, value.place, _UM * value.error_mm, *u, limit, one.outcome)
             )
-    columns = ("test", "place", "error / µm", "u certificate / µm", "u temperature / µm")
-    columns_after = ("u fit / µm", "u sampling / µm", "limit / µm", "verdict")
-    parts.append(Table("All places", (*columns, *columns_after), tuple(rows)))
+    parts_of_u = tuple(f"u {name} / µm" for name in _PARTS)
+    columns = ("test", "place", "error / µm", *parts_of_u, "limit / µm", "verdict")
+    parts.append(Table("All places", columns, tuple(rows)))
     counts = tuple((one.place.name, one.count, one.left_out) for one in result.places)
     parts.append(Table("Points", ("place", "points", "left out"), counts))
     parts.append(Table("Symbols of VDI/VDE 2634 and ISO 10360-13", ("test", "symbols"), symbols))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tomllib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -13,11 +14,15 @@ import tomli_w
 from scenes_small import check_refused, run_cli
 from scipy.spatial.transform import Rotation
 
+from slbench.bench.accept.acceptance import assembled
+from slbench.bench.accept.evaluate import Place, measured_place
 from slbench.bench.accept.folder import accept_folder, found
+from slbench.bench.accept.held import claims_of
 from slbench.bench.accept.specification import read_specification
 from slbench.bench.accept.standards import Standard
 from slbench.bench.accept.surfaces import Points, fit_ball
 from slbench.core.errors import InputError, InputWarning
+from slbench.rig import Pose
 
 BAR = {"diameter_mm": 10.0, "spacing_mm": 40.0, "spacing_U_um": 1.0}
 SPHERE = {"diameter_mm": 14.0}
@@ -289,6 +294,67 @@ def test_the_command_judges_writes_and_holds(tmp_path):
     outcome = run_cli(*words)
     assert outcome.status == 1
     assert "worse than the +10" in outcome.out.replace("9.9", "10")
+
+
+def test_what_held_keeps_the_certificate_out_of_the_slack(tmp_path):
+    """A certificate known to 20 um is as wrong both times: 5 um more are still worse."""
+    clouds = {f"bar{k}.xyz": bar(k, 40.010) for k in range(2)}
+    unsure = BAR | {"spacing_U_um": 20.0, "expansion_per_K": 11e-6, "u_expansion_per_K": 1e-5}
+    unsure["temperature"] = {"celsius": 30.0, "u_celsius": 0.01}
+    # 0.01 K of 40 mm are 5 nm; the coefficient's 1e-5 of 10 K are 4 um, the same both times.
+    tables = {"standards": {"ball_bar": unsure}, "place": places("ball_bar", clouds)}
+    folder = write(tmp_path / "real", clouds, **tables)
+    words = ("accept", folder, "--out")
+    run_cli(*words, tmp_path / "out")
+    for k in range(2):
+        np.savetxt(folder / f"bar{k}.xyz", bar(k, 40.015), fmt="%.6f")
+    held = tmp_path / "out" / "claims.toml"
+    done = run_cli(*words, tmp_path / "again", "--against", held)
+    assert done.status == 1
+    assert "sphere_spacing" in done.out
+
+
+def test_claims_keep_what_was_rendered_and_the_views(tmp_path):
+    """An object with a certificate of its own: the same object is rendered later."""
+    limits = tmp_path / "limits.toml"
+    limits.write_text(
+        '[standards.ball_bar]\nobject = "acceptance-ball-bar"\nspacing_mm = 34.0012\nplaces = 1\n'
+    )
+    standard = read_specification(limits).standards["ball_bar"]
+    assert standard.rendered["spacing_mm"] != standard.spacing_mm
+    rng = np.random.default_rng(1)
+    balls = [Points(cap(rng, np.array([x, 0.0, 0.0]), 4.8)) for x in (-17.0, 17.0)]
+    turn = Pose(np.eye(3), np.zeros(3))
+    place = measured_place(Place("bar", standard, (turn, turn)), [balls, balls])
+    claims = claims_of(assembled("two", [place], parameters={"register": "spheres"}))
+    (tmp_path / "claims.toml").write_text(tomli_w.dumps(claims))
+    held = read_specification(tmp_path / "claims.toml")
+    assert np.array_equal(
+        held.standards["ball_bar"].artefact().mesh.vertices, standard.artefact().mesh.vertices
+    )
+    assert held.standards["ball_bar"].spacing_mm == standard.spacing_mm
+    assert (held.views, held.register) == (2, "spheres")
+
+
+def test_what_is_held_and_not_measured_leaves_it_undecided(tmp_path):
+    clouds = {"bar.xyz": bar(1)}
+    tables = {"standards": {"ball_bar": BAR}, "place": places("ball_bar", clouds)}
+    folder = write(tmp_path / "real", clouds, **tables)
+    words = ("accept", folder, "--out", tmp_path / "out")
+    assert run_cli(*words).status == 0
+    held = tmp_path / "held.toml"
+    claims = tomllib.loads((tmp_path / "out" / "claims.toml").read_text())
+    more = {"test": "flatness", "worst_um": 9.0, "u_um": 1.0}
+    held.write_text(tomli_w.dumps(claims | {"held": [*claims["held"], more]}))
+    junit = tmp_path / "j.xml"
+    done = run_cli(*words, "--against", held, "--junit", junit)
+    assert done.status == 3
+    assert "flatness: held, and not measured" in done.out
+    assert "flatness" in junit.read_text()
+    views = tmp_path / "views.toml"
+    assert claims["views"] == 1
+    views.write_text(tomli_w.dumps(claims | {"views": 2}))
+    check_refused(run_cli(*words, "--against", views), "--against", "2", "1")
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,11 @@ def test_certificate_and_temperature_shift_errors_and_widen_them() -> None:
     # Grown by 40 mm x 11.5e-6 x 2; u by half a kelvin, and by 1e-6 x 2 of the expansion.
     assert value.error_mm - errors["sphere_spacing"] == pytest.approx(-40.0 * 23e-6, abs=1e-9)
     expected = 40.0 * (1 + 23e-6) * np.hypot(11.5e-6 * 0.5, 1e-6 * 2.0)
-    assert value.u_mm["temperature"] == pytest.approx(expected)
+    parts = [value.u_mm["temperature"], value.u_mm["expansion"]]
+    assert np.hypot(*parts) == pytest.approx(expected)
+    # What another measurement with this certificate and coefficient does not share.
+    repeated = np.hypot(value.u_mm["fit"], parts[0])
+    assert value.u_repeat_mm == pytest.approx(repeated)
     assert value.u_mm["certificate"] == pytest.approx(0.0004)
 
 
