@@ -264,12 +264,16 @@ def _fit_deviations(standard: Standard, fits: Sequence[Fit]) -> dict[str, float]
 
 
 def _certificate_mm(test: ErrorKind, standard: Standard) -> float:
-    """Return the standard uncertainty that the certificate leaves a value, mm."""
+    """Return the standard uncertainty that the certificate leaves a value, mm.
+
+    A standard's own form ``F`` is in the form that is measured, by more or less: ``u^2 = (F / 2)^2 +
+    (U / 2)^2``, as the parts of ISO 10360 have it for tests of form.
+    """
     diameter, spacing = standard.diameter_U_um, standard.spacing_U_um
     um = {
         "probing_size": diameter,
         "sphere_spacing": spacing,
         # Half the sum of two diameters, which one laboratory calibrated: taken as one error.
         "length": math.hypot(spacing, diameter),
-    }.get(test.name, standard.form_U_um)
+    }.get(test.name, math.hypot(standard.form_um, standard.form_U_um))
     return um * _UM / COVERAGE

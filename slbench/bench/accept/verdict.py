@@ -1,9 +1,12 @@
 """Errors against maximum permissible errors, by the decision rule of ISO 14253-1.
 
 The limit is reduced (to prove conformity) or raised (to prove nonconformity) by a guard band, as
-ISO 14253-1:2017 has it by default: what is proven is proven with a probability of 95 %.  An error
-has one limit near it, so that the guard band is 1.645 standard uncertainties of the test.  Between
-them nothing is proven: *undecided*.
+ISO 14253-1:2017 has it by default: what is proven is proven with a probability of 95 %.  Of a range,
+which has one limit, the guard band is 1.645 standard uncertainties of the test; a signed error must
+be within both of its limits, ``Phi((MPE - e) / u) - Phi((-MPE - e) / u) >= 0.95``, which asks for
+more than that where the uncertainty is no longer small beside the limit (at 0 for ``u <= MPE /
+1.96``).  It fails where it is beyond one limit with 95 %.  Between them nothing is proven:
+*undecided*.
 
 A test in fewer places than VDI/VDE 2634-2 asks for may fail; it is not passed: *undecided*.
 
@@ -17,6 +20,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from scipy.special import ndtr
+
 from slbench.bench.accept.definitions import LEAST_PLACES, TESTS, ErrorKind
 from slbench.bench.accept.evaluate import PlaceError
 from slbench.core.errors import InputError
@@ -26,6 +31,10 @@ Outcome = Literal["pass", "fail", "undecided", "no limit"]
 
 #: Quantile of the normal distribution, one side, 95 %.
 GUARD = 1.644854
+#: What is proven, is proven with this probability.
+SURE = 0.95
+#: Outcomes, first what decides.
+_DECIDING: tuple[Outcome, ...] = ("fail", "undecided", "pass", "no limit")
 
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
 _LIMIT = re.compile(rf"\s*{_NUMBER}\s*(?:\+\s*L\s*/\s*{_NUMBER}\s*)?", re.ASCII)
@@ -111,10 +120,10 @@ class Tested:
 
     @property
     def worst(self) -> Judged:
-        """The place nearest to its limit, or beyond; the largest error without one."""
+        """The place that decides, of several the nearest to its limit; without one, the largest."""
         if self.limit is None:
             return max(self.judged, key=lambda one: abs(one.value.error_mm))
-        return max(self.judged, key=lambda one: one.used)
+        return max(self.judged, key=lambda one: (-_DECIDING.index(one.outcome), one.used))
 
     @property
     def places(self) -> str:
@@ -163,13 +172,18 @@ def judge(value: PlaceError, limit: Limit | None) -> Judged:
         return Judged(value, None, "no limit")
     signed = TESTS[value.test].signed
     bound = limit.mm(value.certified_mm if signed else 0.0)
-    guard, size = GUARD * value.u_test_mm, abs(value.error_mm)
+    u, size = value.u_test_mm, abs(value.error_mm)
     outcome: Outcome = "undecided"
-    if size + guard <= bound:
-        outcome = "pass"
-    elif size - guard > bound:
+    if size - GUARD * u > bound:
         outcome = "fail"
+    elif size + GUARD * u <= bound and (not signed or u == 0.0 or _within(size, u, bound) >= SURE):
+        outcome = "pass"
     return Judged(value, bound, outcome)
+
+
+def _within(error: float, u: float, bound: float) -> float:
+    """Return the probability that an error is within both of its limits."""
+    return float(ndtr((bound - error) / u) - ndtr((-bound - error) / u))
 
 
 def judged_tests(values: Sequence[PlaceError], limits: Mapping[str, Limit]) -> tuple[Tested, ...]:
@@ -185,10 +199,7 @@ def judged_tests(values: Sequence[PlaceError], limits: Mapping[str, Limit]) -> t
 
 def overall(outcomes: Sequence[Outcome]) -> Outcome:
     """Return fail if one failed, else undecided if one is, else pass if one passed."""
-    for outcome in ("fail", "undecided", "pass"):
-        if outcome in outcomes:
-            return outcome  # type: ignore[return-value]
-    return "no limit"
+    return min(outcomes, key=_DECIDING.index, default="no limit")
 
 
 def read_limits(given: Mapping[str, str | float], where: str) -> dict[str, Limit]:
@@ -197,12 +208,15 @@ def read_limits(given: Mapping[str, str | float], where: str) -> dict[str, Limit
     Raises
     ------
     InputError
-        For a test that there is not, with the nearest, and a limit that cannot be read.
+        For a test that there is not, with the nearest, a limit that cannot be read, and one of a
+        form that grows with a length.
     """
     found = {}
     for key, text in given.items():
         name = key.removesuffix("_um")
         if name not in TESTS:
             raise InputError(where, f"one of {', '.join(TESTS)}", quoted(name, list(TESTS)))
-        found[name] = Limit.read(text, f"{where}: {key}")
+        found[name] = limit = Limit.read(text, f"{where}: {key}")
+        if limit.per is not None and not TESTS[name].signed:
+            raise InputError(f"{where}: {key}", "micrometres of a form, which has no length", limit)
     return found

@@ -14,7 +14,7 @@ from slbench.bench.accept.plan import plan
 from slbench.bench.accept.signatures import explain, parameters_of, seen_by, signature
 from slbench.bench.accept.standards import Standard, Temperature, usual_standard
 from slbench.bench.accept.surfaces import Points, fit_plate, thinnest, trimmed_range
-from slbench.bench.accept.verdict import Limit, judge, overall, read_limits
+from slbench.bench.accept.verdict import Limit, judge, judged_tests, overall, read_limits
 from slbench.core.errors import InputError
 from slbench.rig import Pose, Rig
 from slbench.rig.parameters import moved
@@ -169,6 +169,53 @@ def test_verdicts_keep_a_guard_band(error_um: float, outcome: str) -> None:
     assert judge(_value(error_um, 1.0), Limit(10.0, 20.0)).outcome == outcome
 
 
+@pytest.mark.parametrize(
+    ("error_um", "u_um", "outcome"),
+    # Probability within +-12 um: of u = 6 um, 95.4 % at 0 and 94.2 % at 2 um; of u = 7 um, 91 % at
+    # 0.  Of u = 1 mm it is 1 % at 0, which proves nothing of an instrument: beyond one of the two
+    # limits it must be, 12 + 164 um.
+    [
+        (0.0, 6.0, "pass"),
+        (2.0, 6.0, "undecided"),
+        (0.0, 7.0, "undecided"),
+        (0.0, 1000.0, "undecided"),
+        (176.0, 100.0, "undecided"),
+        (177.0, 100.0, "fail"),
+        (12.0, 0.0, "pass"),
+        (12.1, 0.0, "fail"),
+    ],
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_signed_error_has_two_limits(error_um, u_um, outcome, sign) -> None:
+    assert judge(_value(sign * error_um, u_um), Limit(10.0, 20.0)).outcome == outcome
+
+
+def test_a_range_has_one_limit() -> None:
+    """1.645 deviations below it pass, as much above fail; nothing is below zero."""
+    for error, outcome in ((1.7, "pass"), (1.8, "undecided"), (18.3, "fail"), (18.2, "undecided")):
+        value = PlaceError("flatness", "plate", 1e-3 * error, 0.0, 0.0, {"fit": 5e-3})
+        assert judge(value, Limit(10.0)).outcome == outcome, error
+
+
+def test_the_worst_place_is_the_one_that_decides() -> None:
+    """A place at half its limit that is hardly known decides before one at 0.8 of it."""
+    values = [replace(_value(9.6, 0.1), place="near"), replace(_value(6.0, 8.0), place="unsure")]
+    (tested,) = judged_tests(values, {"sphere_spacing": Limit(12.0)})
+    assert [one.outcome for one in tested.judged] == ["pass", "undecided"]
+    assert tested.worst.value.place == "unsure"
+
+
+def test_the_standards_own_form_is_part_of_a_forms_uncertainty() -> None:
+    """Half of the certified form, and half of its expanded uncertainty (k = 2)."""
+    rng = np.random.default_rng(1)
+    part = Points(cap(rng, (0.0, 0.0, 0.0), 5.0)[0])
+    own = replace(SPHERE, form_um=4.0, form_U_um=1.0)
+    values = {v.test: v for v in measured_place(Place("ball", own), [[part]]).values()}
+    for name in ("probing_form", "probing_dispersion"):
+        assert values[name].u_mm["certificate"] == pytest.approx(1e-3 * np.hypot(2.0, 0.5))
+    assert values["probing_size"].u_mm["certificate"] == 0.0
+
+
 def test_one_failure_fails_and_no_limit_judges_nothing() -> None:
     assert overall(["pass", "undecided", "fail"]) == "fail"
     assert overall(["pass", "undecided", "no limit"]) == "undecided"
@@ -183,6 +230,8 @@ def test_limits_are_read_and_refused() -> None:
     for bad in ("15 - L/50", "L/50", "", "0", "15 + L/0", True, "15 + 1"):
         with pytest.raises(InputError, match="micrometres"):
             read_limits({"flatness": bad}, "mpe.toml")
+    with pytest.raises(InputError, match="of a form, which has no length"):
+        read_limits({"flatness": "15 + L/50"}, "mpe.toml")
     with pytest.raises(InputError, match=r"did you mean|probing_size"):
         read_limits({"probing_sise": 3}, "mpe.toml")
 
