@@ -43,9 +43,9 @@ UNMEASURED = "held, and not measured"
 
 NOTE = (
     "u: standard uncertainty of the test (certificate, temperature, fit, sampling). Pass and fail "
-    "by ISO 14253-1 with 95 % (a guard band of 1.645 u, or both limits); fewer places than VDI/VDE 2634-2 asks for (2 of "
-    "7) pass nothing. By the definitions of VDI/VDE 2634 parts 2 and 3 "
-    "and ISO 10360-13:2021; no accredited procedure."
+    "by ISO 14253-1 with 95 %: a guard band of 1.645 u, a signed error within both limits; fewer "
+    "places than VDI/VDE 2634-2 asks for (2 of 7) pass nothing. By the definitions of VDI/VDE 2634 "
+    "parts 2 and 3 and ISO 10360-13:2021; no accredited procedure."
 )
 
 

@@ -266,8 +266,8 @@ def _fit_deviations(standard: Standard, fits: Sequence[Fit]) -> dict[str, float]
 def _certificate_mm(test: ErrorKind, standard: Standard) -> float:
     """Return the standard uncertainty that the certificate leaves a value, mm.
 
-    A standard's own form ``F`` is in the form that is measured, by more or less: ``u^2 = (F / 2)^2 +
-    (U / 2)^2``, as the parts of ISO 10360 have it for tests of form.
+    A standard's own form ``F`` is in the form that is measured, by more or less:
+    ``u^2 = (F / 2)^2 + (U / 2)^2``, as ISO/TS 23165 has it for tests of form.
     """
     diameter, spacing = standard.diameter_U_um, standard.spacing_U_um
     um = {

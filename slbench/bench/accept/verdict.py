@@ -1,10 +1,10 @@
 """Errors against maximum permissible errors, by the decision rule of ISO 14253-1.
 
 The limit is reduced (to prove conformity) or raised (to prove nonconformity) by a guard band, as
-ISO 14253-1:2017 has it by default: what is proven is proven with a probability of 95 %.  Of a range,
-which has one limit, the guard band is 1.645 standard uncertainties of the test; a signed error must
-be within both of its limits, ``Phi((MPE - e) / u) - Phi((-MPE - e) / u) >= 0.95``, which asks for
-more than that where the uncertainty is no longer small beside the limit (at 0 for ``u <= MPE /
+ISO 14253-1:2017 has it by default: what is proven is proven with a probability of 95 %.  Of a
+range, which has one limit, the guard band is 1.645 standard uncertainties of the test.  A signed
+error must be within both of its limits, ``Phi((MPE - e) / u) - Phi((-MPE - e) / u) >= 0.95``, which
+asks for more where the uncertainty is no longer small beside the limit (at 0 for ``u <= MPE /
 1.96``).  It fails where it is beyond one limit with 95 %.  Between them nothing is proven:
 *undecided*.
 
