@@ -174,14 +174,15 @@ def load_settings(path: Path, *, allow_modules: bool = False) -> Scene:
     """Load a scene with a plane in the place of its objects, which cost most to load.
 
     That is all that exposing frames from light transport needs, however many its objects are
-    and whether or not their files are at hand.
+    and whether or not their files are at hand.  An environment map is left out for the same
+    reason.
 
     Raises
     ------
     InputError
         As :func:`load_scene`, but for the objects.
     """
-    return _load(path, lambda file, path: _placeholder(), allow_modules)[0]
+    return _load(path, None, allow_modules)[0]
 
 
 @cache
@@ -191,7 +192,7 @@ def _placeholder() -> tuple[SceneObject, ...]:
 
 def _load(
     path: Path,
-    build_objects: Callable[[SceneTables, Path], tuple[SceneObject, ...]],
+    build_objects: Callable[[SceneTables, Path], tuple[SceneObject, ...]] | None,
     allow_modules: bool,
     changes: Sequence[Change] = (),
 ) -> tuple[Scene, SceneTables]:
@@ -201,11 +202,11 @@ def _load(
 def _scene(
     content: dict[str, Any],
     path: Path,
-    build_objects: Callable[[SceneTables, Path], tuple[SceneObject, ...]],
+    build_objects: Callable[[SceneTables, Path], tuple[SceneObject, ...]] | None,
     allow_modules: bool,
     changes: Sequence[Change] = (),
 ) -> tuple[Scene, SceneTables]:
-    """Return the scene of a merged content."""
+    """Return the scene of a merged content; without its light, where no objects are built."""
     content = apply_changes(content, changes)
     with naming_changes(path.name, changes):
         content = _with_curve(content, path)
@@ -213,6 +214,9 @@ def _scene(
         if changes:  # for whoever asks where a result comes from
             content["set"] = listed(changes)
         with located(path.name):
+            if build_objects is None:
+                bare = file.model_copy(update={"environment": None})
+                return _build(bare, path, content, _placeholder(), allow_modules), file
             return _build(file, path, content, build_objects(file, path), allow_modules), file
 
 
@@ -360,7 +364,7 @@ def _build(
             file.exposure.white_level,
             file.exposure.vibration_px,
         ),
-        light=Light(file.light.ambient_w_per_m2 * 1e-6, file.light.bounces),
+        light=_light(file, path, place_of(rig, scene_objects)),
         samples=file.render.samples,
         specification=content,
         focus=None if file.focus is None else file.focus.focus(rig, place_of(rig, scene_objects)),
@@ -368,6 +372,14 @@ def _build(
         if file.calibration is None
         else read_calibration(file.calibration, rig, path),
     )
+
+
+def _light(file: SceneTables, path: Path, place: Pose) -> Light:
+    environment = None
+    if file.environment is not None:
+        with located(f"{path.name}: environment"):
+            environment = file.environment.environment(path.parent, place)
+    return Light(file.light.ambient_w_per_m2 * 1e-6, file.light.bounces, environment)
 
 
 def _patterns(

@@ -33,6 +33,7 @@ from slbench.objects import Artefact
 from slbench.patterns import GivenPatterns, PatternSequence, PatternSource, read_patterns
 from slbench.rig import Pose, Rig
 from slbench.scene.calibration import Calibration, calibration_of
+from slbench.scene.environment import Environment
 from slbench.scene.materials import Material
 
 #: What is projected on a scene that states no patterns.
@@ -100,10 +101,18 @@ class Light(Value):
         Irradiance of uniform surroundings on an unobstructed surface.
     bounces : int
         Interreflections followed after the direct light.
+    environment : Environment or None
+        Surroundings of which the radiance depends on the direction, beside the uniform ones.
     """
 
     ambient_w_per_mm2: NotNegative = 0.0
     bounces: Bounces = 0
+    environment: Environment | None = None
+
+    @property
+    def has_surroundings(self) -> bool:
+        """Whether light comes from elsewhere than the projector."""
+        return self.ambient_w_per_mm2 > 0.0 or self.environment is not None
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,14 @@ is refused with the key's full name.  ``docs/reference/scene-files.md`` lists th
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from slbench.capture.focus import MAX_SETTINGS, Focus
+from slbench.core import resources
 from slbench.core.errors import InputError
 from slbench.core.units import Unit
 from slbench.core.validation.tables import Parameters
@@ -34,6 +36,7 @@ from slbench.patterns.given import PatternsTable
 from slbench.rig import Pose, Rig
 from slbench.rig.optics.response import ResponseCurve
 from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
+from slbench.scene.environment import Environment, environment_of
 
 
 class LensBeside(Parameters):
@@ -187,6 +190,37 @@ class LightTable(Parameters):
 
     ambient_w_per_m2: NotNegative = 0.0
     bounces: Bounces = 0
+
+
+class EnvironmentTable(Parameters):
+    """``[environment]``: light that comes from around, by direction."""
+
+    map: str | None = None
+    file: str | None = None
+    irradiance_w_per_m2: Measure | None = None
+    scale: Measure | None = None
+    rotation_deg: Coordinate = 0.0
+
+    @model_validator(mode="after")
+    def _one_way(self) -> EnvironmentTable:
+        if (self.map is None) == (self.file is None):
+            raise ValueError("one of map (a name) or file")
+        if self.map is not None and self.irradiance_w_per_m2 is None:
+            raise ValueError("irradiance_w_per_m2 beside map")
+        if self.scale is not None and (self.file is None or self.irradiance_w_per_m2 is not None):
+            raise ValueError("scale beside file only, where no irradiance_w_per_m2 is given")
+        return self
+
+    def environment(self, folder: Path, place: Pose) -> Environment:
+        """Return the map, ahead along x and up along z of a place; its file is in a folder."""
+        stated = self.irradiance_w_per_m2
+        return environment_of(
+            self.map if self.file is None else resources.inside(folder, self.file),
+            irradiance_w_per_mm2=None if stated is None else stated * 1e-6,
+            scale=1.0 if self.scale is None else self.scale,
+            rotation_deg=self.rotation_deg,
+            place=place.rotation,
+        )
 
 
 class ExposureTable(Parameters):
@@ -355,6 +389,7 @@ class SceneTables(Parameters):
     # Their keys are those of the BSDFs (slbench.scene.bsdfs).
     materials: dict[str, dict[str, Any]] = Field(default_factory=dict)
     light: LightTable = LightTable()
+    environment: EnvironmentTable | None = None
     exposure: ExposureTable = ExposureTable()
     patterns: PatternsTable = PatternsTable()
     focus: FocusTable | None = None

@@ -1,6 +1,7 @@
 """Traced light and ground truth, kept for scenes that share them.
 
-Light transport depends on objects, materials, optics and poses, bounces, ambient light and samples.
+Light transport depends on objects, materials, optics and poses, bounces, light from around and
+samples.
 It does not depend on detector, exposure, vibration, patterns (but for the axes that they vary
 along) and on what the panel makes of a value (bit depth, response): scenes that differ in these
 alone are seen in the same light.  Ground truth depends on objects and rig alone.

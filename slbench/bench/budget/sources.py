@@ -230,8 +230,8 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
             name = "fixed pattern (PRNU, DSNU)"
             found.append(Source(name, "steady", seen(base, real, "pattern")))
         found.append(Source("shot noise", "random", seen(lit, real, "shot"), repeats))
-        if scene.light.ambient_w_per_mm2 > 0.0:
-            dark = replace(lit, light=replace(lit.light, ambient_w_per_mm2=0.0))
+        if scene.light.has_surroundings:
+            dark = replace(lit, light=Light(bounces=scene.light.bounces))
             name = "shot noise without ambient light"
             found.append(Source(name, "random", seen(dark, real, "shot"), repeats, counted=False))
         if spreading:

@@ -1,4 +1,4 @@
-"""The files that a specification's objects and materials name, taken into the data set.
+"""The files that a specification's objects, materials and light name, taken into the data set.
 
 An artefact's file becomes a kind with its parameters; a mesh gets a name of its own among the
 files of the data set, equal content one name.
@@ -116,6 +116,45 @@ def picture_names(materials: Mapping[str, Any]) -> list[str]:
 
     _with_pictures(materials, take)
     return names
+
+
+def embedded_map(
+    environment: Mapping[str, Any], path: Path, files: dict[str, bytes]
+) -> dict[str, Any]:
+    """Return a scene's ``[environment]`` with the file of its map, or each drawn one, taken in.
+
+    Parameters
+    ----------
+    environment : mapping
+        Values drawn or not.
+    path : Path
+        The specification, whose folder the files stand in.
+    files : dict of str to bytes
+        Of the data set; gets the maps.
+
+    Raises
+    ------
+    InputError
+        If a file cannot be read.
+    """
+    where = "scene.environment.file"
+
+    def take(name: Any) -> str:
+        return _named("map", name, content_of(path, name, where), files)
+
+    file = environment.get("file")
+    if isinstance(file, Mapping) and isinstance(file.get("choice"), list | tuple):
+        chosen = {**file, "choice": [take(name) for name in file["choice"]]}
+        return {**environment, "file": chosen}
+    return dict(environment) if file is None else {**environment, "file": take(file)}
+
+
+def map_names(environment: Mapping[str, Any]) -> list[str]:
+    """Return the files in the data set that a scene's ``[environment]`` may name."""
+    file = environment.get("file")
+    if isinstance(file, Mapping):
+        return list(file["choice"])
+    return [] if file is None else [file]
 
 
 def _with_pictures(materials: Mapping[str, Any], take: Callable[[str, str], str]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from slbench.core.io import plain, write_toml
 from slbench.core.random import derived_seed
 from slbench.core.validation.values import validated
 from slbench.datasets.spec.distributions import Distribution, column, find, put, stream
-from slbench.datasets.spec.embedded import file_names, picture_names
+from slbench.datasets.spec.embedded import file_names, map_names, picture_names
 from slbench.datasets.spec.specification import Specification
 from slbench.datasets.store.sample import RIG, SCENE
 from slbench.datasets.store.shards import key
@@ -177,6 +177,7 @@ def place_scene(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: 
 def _placed(drawn: Draw, files: Mapping[str, bytes], folder: Path, preview: bool) -> Scene:
     wanted = {name for table in drawn.table["objects"] for name in file_names(table)}
     wanted.update(picture_names(drawn.table.get("materials", {})))
+    wanted.update(map_names(drawn.table.get("environment", {})))
     from_file = "file" in drawn.table["rig"]
     modules = drawn.table.get("modules", ())
     for name in (*sorted(wanted), *drawn.pictures, *modules, *([RIG] if from_file else [])):

@@ -67,9 +67,11 @@ from slbench.datasets.spec.distributions import Path as Place
 from slbench.datasets.spec.embedded import (
     content_of,
     embedded,
+    embedded_map,
     embedded_module,
     embedded_pictures,
     file_names,
+    map_names,
     picture_names,
 )
 from slbench.datasets.spec.patterns import Patterns, resolved
@@ -85,7 +87,7 @@ Count = Annotated[int, Field(ge=1, le=1_000_000)]
 _OWN = ("name", "weight")
 _SHIPPED = "datasets"
 #: Tables of a scene that are looked into before it is loaded.
-_TABLES = ("rig", "camera", "render", "preview")
+_TABLES = ("rig", "camera", "render", "preview", "environment")
 
 
 class Constraints(Parameters):
@@ -208,6 +210,7 @@ class Specification(Parameters):
         for table in (*self.objects, *self.scene.get("objects", ())):
             names.update(file_names(table))
         names.update(picture_names(self.scene.get("materials", {})))
+        names.update(map_names(self.scene.get("environment", {})))
         return names
 
 
@@ -265,6 +268,8 @@ def load(
     if isinstance(scene.get("materials"), dict):
         materials = scene["materials"]
         scene["materials"] = embedded_pictures(materials, path, "scene.materials", files)
+    if "environment" in scene:
+        scene["environment"] = embedded_map(scene["environment"], path, files)
     if "objects" in scene:
         scene["objects"] = [
             embedded(table, path, f"scene.objects[{k}]", files)

@@ -36,7 +36,7 @@ from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.camera import seen_circle, spread_ray
 from slbench.simulate.render.plugins.optics import PanelOptics, opaque, opaque_transform
 from slbench.simulate.render.strata import Strata
-from slbench.simulate.render.translate import geometry, pose_matrix
+from slbench.simulate.render.translate import geometry, pose_matrix, surroundings_dict
 from slbench.simulate.rows import LineRows, PointRows, SampleBlock
 from slbench.simulate.transport import LightTransport, Marginal
 
@@ -158,6 +158,7 @@ class _Tracer:
         self.seed = int(derived_seed(seed, 0)) & 0xFFFFFFFF
         self.bounces = light.bounces
         self.ambient = light.ambient_w_per_mm2 / np.pi
+        self.around = light.environment and mi.load_dict(surroundings_dict(light))
         self.camera = PanelOptics(rig.camera)
         self.projector = PanelOptics(rig.projector)
         self.camera_to_world = opaque_transform(pose_matrix(rig.camera.pose))
@@ -235,27 +236,62 @@ class _Tracer:
         context = mi.BSDFContext()
         active = mi.Bool(True)
         throughput = mi.Float(1.0 / self.samples)
-        escaped = mi.Float(0.0) if self.ambient > 0 else None
+        escaped = mi.Float(0.0) if self.ambient > 0 or self.around is not None else None
+        outside: Any = self.ambient  # radiance from where the ray goes
+        if self.around is not None:
+            outside = self._outside(ray.d)
         hits: list[_Hit] = []
         for bounce in range(self.bounces + 1):
             si = self.geometry.ray_intersect(ray, active)
             if escaped is not None:
                 gone = active & ~si.is_valid()
-                escaped += dr.select(gone, throughput * self.samples * self.ambient, 0.0)
+                escaped += dr.select(gone, throughput * self.samples * outside, 0.0)
             active &= si.is_valid()
             bsdf = si.bsdf(ray)
             hits.append(self._direct(si, bsdf, context, throughput, sampler, active))
             last_bounce = bounce == self.bounces
             if last_bounce and escaped is None:
                 break
+            if self.around is not None and escaped is not None:
+                light = self._from_around(si, bsdf, context, sampler, active)
+                escaped += throughput * self.samples * light
             sample, factor = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
             throughput *= factor.x
             active &= throughput > 0
             ray = mi.RayDifferential3f(si.spawn_ray(si.to_world(sample.wo)))
+            if self.around is not None:
+                delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+                outside = self._outside(ray.d, mi.Float(sample.pdf), delta)
             if last_bounce and escaped is not None:
                 gone = active & ~self.geometry.ray_test(ray, active)
-                escaped += dr.select(gone, throughput * self.samples * self.ambient, 0.0)
+                escaped += dr.select(gone, throughput * self.samples * outside, 0.0)
         return hits, escaped
+
+    def _outside(self, direction: Any, pdf: Any = None, delta: Any = False) -> Any:
+        """Return the map's radiance along rays; weighted where the surface chose them.
+
+        Bright parts of a map are looked at from the surface too (:meth:`_from_around`), and the
+        two ways share by the power heuristic (E. Veach and L. J. Guibas, SIGGRAPH 1995).
+        """
+        si = dr.zeros(mi.SurfaceInteraction3f, dr.width(direction))
+        si.wi = -direction
+        radiance = self.around.eval(si).x
+        if pdf is None:
+            return radiance
+        sample = dr.zeros(mi.DirectionSample3f)
+        sample.d = direction
+        other = self.around.pdf_direction(si, sample)
+        return radiance * dr.select(delta, 1.0, _power(pdf, other))
+
+    def _from_around(self, si: Any, bsdf: Any, context: Any, sampler: Any, active: Any) -> Any:
+        """Return what the surface makes of the map's light, from where the map is bright."""
+        sample, weight = self.around.sample_direction(si, sampler.next_2d(), active)
+        active = active & (sample.pdf > 0)
+        value, pdf = bsdf.eval_pdf(context, si, si.to_local(sample.d), active)
+        light = value.x * weight.x * _power(sample.pdf, pdf)
+        active = active & (light > 0)
+        hidden = self.geometry.ray_test(si.spawn_ray(sample.d), active)
+        return dr.select(active & ~hidden, light, 0.0)
 
     def _direct(
         self, si: Any, bsdf: Any, context: Any, throughput: Any, sampler: Any, active: Any
@@ -280,3 +316,8 @@ class _Tracer:
         circles = dr.minimum(dr.sqrt(along_x * along_x + along_y * along_y), _LARGEST_PX)
         # What is not lit may lie where a lens is not defined.
         return _Hit(weight, *(dr.select(active, part, 0.0) for part in (chief, shift, circles)))
+
+
+def _power(own: Any, other: Any) -> Any:
+    """Return the share of one of two ways to sample a direction, by their densities."""
+    return dr.select(own > 0, own * own / (own * own + other * other), 0.0)

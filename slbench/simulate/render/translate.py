@@ -328,13 +328,28 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
         "projector": projector_dict(scene.rig.projector, picture),
     }
     result |= {shape.name: shape.mesh() for shape in shapes(scene.objects)}
-    if scene.light.ambient_w_per_mm2 > 0:
-        result["ambient"] = _ambient(scene.light)
+    if scene.light.has_surroundings:
+        result["ambient"] = surroundings_dict(scene.light)
     return result
 
 
-def _ambient(light: Light) -> dict[str, Any]:
-    return {"type": "constant", "radiance": grey(light.ambient_w_per_mm2 / np.pi)}
+#: From the axes of Mitsuba's maps (left, up, ahead) to ours (ahead, left, up).
+_MAP_AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+def surroundings_dict(light: Light) -> dict[str, Any]:
+    """Return the light that comes from around as one Mitsuba emitter."""
+    uniform, environment = light.ambient_w_per_mm2 / np.pi, light.environment
+    if environment is None:
+        return {"type": "constant", "radiance": grey(uniform)}
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.array(environment.axes) @ _MAP_AXES
+    radiance = environment.radiance.values + np.float32(uniform)
+    return {
+        "type": "envmap",
+        "bitmap": mi.Bitmap(radiance[..., np.newaxis]),
+        "to_world": mi.ScalarTransform4f(matrix.tolist()),
+    }
 
 
 def _written(item: Any, folder: Path, stem: str, names: list[str]) -> Any:
@@ -397,10 +412,11 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
         "camera": camera_dict(scene.rig.camera, scene.samples),
         "projector": projector_dict(scene.rig.projector, picture),
     }
-    if scene.light.ambient_w_per_mm2 > 0:
-        content["ambient"] = _ambient(scene.light)
     output, parameters = files_beside("export", target), {"scene": scene.specification}
     with output.writing(target.parent, parameters, None) as temporary:
+        if scene.light.has_surroundings:
+            around = surroundings_dict(scene.light)
+            content["ambient"] = _written(around, temporary, f"{target.stem}-around", names)
         write_exr(temporary / panel_name, {"Y": panel})
         for shape in shapes(scene.objects):
             mesh_name = f"{target.stem}-{shape.name}.ply"

@@ -2,7 +2,7 @@
 
 The comparison is statistical.  Both sides are rendered `REPEATS` times with independent seeds;
 Welch's t-test is made on every pixel (Bonferroni-corrected) and on the image's mean.  Each
-test has a false-alarm rate of `ALPHA`; the 20 of this file together one of 0.2 %.  That the
+test has a false-alarm rate of `ALPHA`; the 22 of this file together one of 0.22 %.  That the
 tests can fail is shown by planted errors: a weight 2 % off, a pattern one panel pixel off.
 """
 
@@ -26,6 +26,7 @@ import slbench.simulate.render.trace as tracing
 from slbench.core.errors import InputError
 from slbench.scene.bsdfs import bsdfs
 from slbench.scene.drawn import Noise
+from slbench.scene.environment import environment_of
 from slbench.scene.materials import Material
 from slbench.scene.model import Light
 from slbench.simulate.render.mitsuba import mi
@@ -76,6 +77,12 @@ def scene_of(case):
     if case == "ambient light":
         # As bright as the projector's own light (1 W on a field of 200 mm x 150 mm).
         return replace(lenses, light=Light(ambient_w_per_mm2=3e-5, bounces=1))
+    if case in ("lamps", "lamps on metal"):
+        # Small bright lamps, seen by chance and by aim; uniform light besides.
+        around = environment_of("workshop", irradiance_w_per_mm2=3e-5, rotation_deg=20.0)
+        light = Light(ambient_w_per_mm2=1e-5, bounces=1, environment=around)
+        shown = glossy(lenses, "rough_conductor") if case == "lamps on metal" else lenses
+        return replace(shown, light=light)
     if case == "all of the spread":
         # Defocus, diffraction and blur of some 2 px each, in both devices.
         a, b = camera(2.0, focus=500.0, blur_px=1.0), projector(5.6, focus=900.0, blur_px=1.5)
@@ -142,7 +149,9 @@ def test_relit_equals_rendered(case, integrator, emitter, sensor, name):
         assert agreement(theirs, shifted).p < 1e-9
 
 
-@pytest.mark.parametrize("case", ["glossy metal", "ambient light", *PRINCIPLED])
+@pytest.mark.parametrize(
+    "case", ["glossy metal", "ambient light", "lamps", "lamps on metal", *PRINCIPLED]
+)
 def test_other_light_and_material(case):
     pattern = PATTERNS["1 fringe"]
     theirs, ours = rendered(case, pattern, "path"), relit(case, pattern)

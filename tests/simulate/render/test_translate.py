@@ -21,6 +21,7 @@ from stages import ground_truth, trace
 from slbench.core.errors import InputError
 from slbench.rig import Lens, Pose, Rig
 from slbench.scene.bsdfs import Diffuse, RoughConductor, bsdfs
+from slbench.scene.environment import environment_of
 from slbench.scene.materials import Material
 from slbench.scene.model import Light, SceneObject
 from slbench.simulate.render import translate
@@ -255,12 +256,13 @@ class TestMaterials:
 
 
 class TestExport:
-    @pytest.mark.parametrize("ambient", [0.0, 3e-5])
-    def test_the_file_renders_the_same_image(self, tmp_path, ambient):
+    @pytest.mark.parametrize("around", ["dark", "uniform", "workshop"])
+    def test_the_file_renders_the_same_image(self, tmp_path, around):
         """Compared with the dictionary's render by Welch's test, false-alarm rate 1e-4."""
-        value = replace(
-            step_scene(camera(2.0), PLAIN), light=Light(ambient_w_per_mm2=ambient, bounces=1)
-        )
+        light = Light(ambient_w_per_mm2=0.0 if around == "dark" else 3e-5, bounces=1)
+        if around == "workshop":
+            light = replace(light, environment=environment_of(around, irradiance_w_per_mm2=3e-5))
+        value = replace(step_scene(camera(2.0), PLAIN), light=light)
         tilted = Pose.looking_at([20.0, -15.0, 8.0], [22.0, -12.0, 50.0], [0.0, 1.0, 0.0])
         steel = Material(RoughConductor(albedo=0.9))
         extra = SceneObject(plate((25.0, 15.0)).artefact, tilted, steel)
