@@ -108,8 +108,7 @@ def score(
     table = result.table()
     print_table(table)
     print(table.note)
-    for found in (result.features(), result.verdicts()):
-        if found is not None:
-            print_table(found)
+    for found in result.tables():
+        print_table(found)
     shown = page or (target / "score.png" if picture else None)
     print(f"Written to {target}" + (f": open {shown}" if shown else ""))

@@ -79,9 +79,7 @@ def fit_features(
     planes: dict[str, _Plane] = {}
     flat: dict[str, NDArray[np.intp]] = {}
     for face in artefact.planes:
-        over = np.flatnonzero(face.contains(local))
-        # Gross errors of the fringe order are far off the face.
-        over = over[np.abs(local[over, 2] - face.z_mm) < _reach(artefact, face)]
+        over = points_over(artefact, face, local)
         if len(over) >= MIN_POINTS:
             planes[face.name] = _Plane.fit(face, local[over], labels[over])
             flat[face.name] = over[planes[face.name].inliers]
@@ -99,11 +97,10 @@ def fit_features(
         found += [step for step in steps if step.name != REFERENCE]
     balls: list[_Ball] = []
     for sphere in artefact.spheres:
-        outward = local - np.array(sphere.centre_mm)
-        radial = np.linalg.norm(outward, axis=-1) - sphere.radius_mm
-        near = np.flatnonzero(np.abs(radial) < 0.2 * sphere.radius_mm)
+        near = points_near(sphere, local)
         if rig is not None:
-            normal = product(outward[near], pose.rotation.T)
+            outward = local[near] - np.array(sphere.centre_mm)
+            normal = product(outward, pose.rotation.T)
             for device in (rig.camera, rig.projector):
                 near, normal = facing(device, points, near, normal, MAX_INCIDENCE)
         if len(near) >= MIN_POINTS:
@@ -111,6 +108,21 @@ def fit_features(
     found += [ball.score(artefact.name) for ball in balls]
     found += [a.spacing(artefact.name, b) for a, b in itertools.combinations(balls, 2)]
     return found + fit_surfaces(artefact, inner, edges, pose, rig)
+
+
+def points_over(
+    artefact: Artefact, face: PlaneFeature, local: Array, *, everywhere: bool = False
+) -> NDArray[np.intp]:
+    """Return the indices of points (N, 3), object frame, of a face's interior, or of its level."""
+    over = np.arange(len(local)) if everywhere else np.flatnonzero(face.contains(local))
+    # Gross errors of the fringe order are far off the face.
+    return over[np.abs(local[over, 2] - face.z_mm) < _reach(artefact, face)]
+
+
+def points_near(sphere: SphereFeature, local: Array) -> NDArray[np.intp]:
+    """Return the indices of points (N, 3), object frame, that are near a sphere."""
+    radial = np.linalg.norm(local - np.array(sphere.centre_mm), axis=-1) - sphere.radius_mm
+    return np.flatnonzero(np.abs(radial) < 0.2 * sphere.radius_mm)
 
 
 def _reach(artefact: Artefact, feature: PlaneFeature) -> float:

@@ -18,8 +18,7 @@ def cloud_score_page(result: CloudScore) -> Page:
     -------
     Page
     """
-    parts: list[Part] = [result.table()]
-    parts += [table for table in (result.features(), result.verdicts()) if table is not None]
+    parts: list[Part] = [result.table(), *result.tables()]
     caption = "Signed distance of the points from the reference, positive outside."
     parts.append(Picture.drawn("Deviations", result.plot(), caption))
     values = {"deviation / µm": 1e3 * result.deviation_mm}

@@ -16,7 +16,8 @@ from slbench.cloud.files.measured import MeasuredCloud
 from slbench.core.errors import InputError
 from slbench.objects import Artefact
 from slbench.rig import Pose
-from slbench.score.clouds.cloudscore import CloudScore, score_intervals
+from slbench.score.clouds.borders import inner_points
+from slbench.score.clouds.cloudscore import CloudScore, score_intervals, unmeasured
 from slbench.score.clouds.expected import DEVIATIONS, check_part, expected_deviations, question_unit
 from slbench.score.clouds.placing import (
     LEAST,
@@ -114,9 +115,13 @@ def score_against_part(
     errors = cloud.points[on] - near.point[on]
     tiles = tiles_of(cloud.points[on])
     lines = _lines(cloud, on, part)
-    features = fit_features(cloud.points[on], part, Pose(), lines, level=motion is not None)
+    inner = inner_points(cloud.points[on], part)
+    features = fit_features(
+        cloud.points[on], part, Pose(), lines, smooth=inner.mask, level=motion is not None
+    )
+    found = _score(cloud, near.distance, errors, surface, features)
     return CloudScore(
-        score=_score(cloud, near.distance, errors, surface, features),
+        score=found,
         reference="mesh" if part.kind == "mesh" else "artefact",
         name=part.name,
         source=cloud.source,
@@ -128,6 +133,8 @@ def score_against_part(
         tiles=effective_tiles(tiles),
         dropped=cloud.dropped,
         background=int(np.count_nonzero(other)),
+        near_edges=inner.left_out,
+        unmeasured=unmeasured(part, found, inner.reason),
         motion=motion,
         free=free,
     )

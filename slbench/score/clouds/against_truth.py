@@ -26,7 +26,7 @@ from slbench.rig.opencv import read_rig
 from slbench.scene.file import objects_of
 from slbench.scene.model import SceneObject
 from slbench.scene.truth import GroundTruth
-from slbench.score.clouds.cloudscore import CloudScore, score_intervals
+from slbench.score.clouds.cloudscore import CloudScore, score_intervals, unmeasured
 from slbench.score.clouds.expected import check_part, expected_deviations, question_unit
 from slbench.score.clouds.placing import place_on_surface
 from slbench.score.clouds.surface import Surface
@@ -40,6 +40,8 @@ _SEEN = 0.5
 #: Sides of a face between true points of neighbouring pixels that are one surface, in those of the
 #: usual one.
 _BREAK = 5.0
+#: Why a feature of a scan's object is not in the score.
+_UNTOLD = "too few points on smooth lit surface facing both devices, or they do not tell it"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -341,4 +343,9 @@ def _scored(
         intervals=score_intervals(tiles, away[lit], errors[lit, 2]),
         tiles=effective_tiles(tiles),
         dropped=cloud.dropped,
+        unmeasured={
+            name: why
+            for item in against.objects
+            for name, why in unmeasured(item.artefact, found, lambda _: _UNTOLD).items()
+        },
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slbench.core.show.display import block, length
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
+from slbench.objects import Artefact
 from slbench.rig import Pose
 from slbench.score.clouds.expected import DEVIATIONS, LEAST_SHARE, Expected
 from slbench.score.clouds.tiles import Statistic, intervals
@@ -61,6 +62,12 @@ class CloudScore:
         Points of the file that were not finite.
     background : int
         Points of a plane that the part stands on: left out.
+    near_edges : int
+        Points of features near which the cloud ends: features are not fitted to them
+        (:mod:`slbench.score.clouds.borders`).  A scan's truth tells others.
+    unmeasured : mapping of str to str
+        Features and dimensions that the reference has and the score has not, by the names that
+        claims select them by, with the reason.
     motion : Pose, optional
         What moved the cloud to the reference: its ``to_world``.
     free : tuple of str
@@ -81,6 +88,8 @@ class CloudScore:
     tiles: float
     dropped: int = 0
     background: int = 0
+    near_edges: int = 0
+    unmeasured: Mapping[str, str] = field(default_factory=dict)
     motion: Pose | None = None
     free: tuple[str, ...] = ()
     parameters: Mapping[str, Any] = field(default_factory=dict)
@@ -123,6 +132,8 @@ class CloudScore:
             rows.append(("not finite, left out", f"{self.dropped}"))
         if self.background:
             rows.append(("of a plane behind, left out", f"{self.background}"))
+        if self.near_edges:
+            rows.append(("near edges and gaps, not in features", f"{self.near_edges}"))
         if self.motion is not None:
             cosine = 0.5 * (float(np.trace(self.motion.rotation)) - 1.0)
             turn = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
@@ -163,6 +174,13 @@ class CloudScore:
             )
             for z in (*score.cylinders, *score.circles)
         ]
+        rows += [
+            (
+                *(f"angle {c.name}", f"{c.nominal_angle_deg:.4f}°", f"{c.angle_deg:.4f}°"),
+                *(f"{c.angle_deviation_deg:.4f}°", f"{c.angle_uncertainty_deg:.4f}°"),
+            )
+            for c in score.cones
+        ]
         if not rows:
             return None
         columns = ("feature", "certified / mm", "measured / mm", "deviation / µm", "u / µm")
@@ -179,6 +197,16 @@ class CloudScore:
         columns = ("dimension", "type", "unit", "nominal", "measured", "u", "tolerance", "verdict")
         return Table("Dimensions", columns, rows)
 
+    def missing(self) -> Table | None:
+        """Return the table of what was not measured; None where all was."""
+        rows = tuple(self.unmeasured.items())
+        return Table("Not measured", ("feature or dimension", "why"), rows) if rows else None
+
+    def tables(self) -> list[Table]:
+        """Return the tables of features, dimensions and what was not measured, as there are any."""
+        found = (self.features(), self.verdicts(), self.missing())
+        return [table for table in found if table is not None]
+
     def plot(self) -> Any:
         """Return a matplotlib figure: deviations from two sides, and how they are distributed."""
         return figure(self)
@@ -193,6 +221,8 @@ class CloudScore:
             "interval_tiles": self.tiles,
             "dropped": self.dropped,
             "background": self.background,
+            "near_edges": self.near_edges,
+            "unmeasured": dict(self.unmeasured),
             "within_three_expected": self.share,
             "least_within_three_expected": LEAST_SHARE,
             "expected_mm": self.expected.median_mm,
@@ -202,6 +232,33 @@ class CloudScore:
             motion = {"rotation": self.motion.rotation, "position_mm": self.motion.position}
             result |= {"motion": motion, "free": list(self.free)}
         return result
+
+
+def unmeasured(part: Artefact, score: Score, reason: Callable[[str], str]) -> dict[str, str]:
+    """Return the features and dimensions of a part that a score has not, each with the reason.
+
+    Names are as claims select by, such as ``cylinder[bore-1]``.
+
+    Parameters
+    ----------
+    part : Artefact
+    score : Score
+    reason : callable
+        Tells why a feature of that name was not measured.
+    """
+    kinds = ("planes", "spheres", "cylinders", "cones", "circles")
+    found = {x.name for kind in kinds for x in getattr(score, kind) if x.object == part.name}
+    features = [("plane", x.name) for x in part.planes]
+    features += [("sphere", x.name) for x in part.spheres]
+    features += [(x.kind, x.name) for x in part.declared]
+    result = {f"{kind}[{name}]": reason(name) for kind, name in features if name not in found}
+    taken = {x.name for x in score.dimensions if x.object == part.name}
+    for dimension in part.dimensions:
+        if dimension.name not in taken:
+            of = ", ".join(name for name in dimension.of if name not in found)
+            words = "undecided: " if dimension.tolerance else ""
+            result[f"dimension[{dimension.name}]"] = f"{words}{of} not measured"
+    return result
 
 
 def score_intervals(

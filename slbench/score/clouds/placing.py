@@ -44,6 +44,11 @@ _PLANE = 100_000
 STEPS, STILL = 30, 1e-8
 #: The same where a place is only compared with others.
 _STILL = 1e-5
+#: Weights of a search start from such a deviation, as a share of the part's size, and narrow by
+#: this factor a step: most points may lie on one plane, whose small deviations say nothing of
+#: where along itself it is (graduated non-convexity; Blake and Zisserman, "Visual reconstruction",
+#: 1987).
+_WIDE, _NARROWER = 0.02, 0.75
 #: Tukey's constant, in deviations (1.4826 MAD).
 TUKEY = 4.685
 #: Motions that move the surface less than this share of the others are not told by it.
@@ -62,7 +67,7 @@ _SEARCHES = ((2000, 0.02), (10_000, 0.004), (_FINE, 0.001))
 _TRIALS, _STILL_EXTENT = 25, 1e-5
 #: Share of the points on the surface with which no other side is looked for, and how near it they
 #: are, as a share of its size.
-_ENOUGH, _CLOSE = 0.7, 2e-3
+_ENOUGH, _CLOSE = 0.9, 2e-3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -125,7 +130,7 @@ def place_on_surface(
     rng = generator(0)
     fine = points[rng.choice(len(points), min(len(points), _FINE), replace=False)]
     if start is not None:
-        best = _refined(surface, fine[:_COARSE], start)
+        best = _searched(surface, fine[:_COARSE], start)
     else:
         best = _best(mesh, surface, fine, eye)
         # Points of one side, unless it is known which: their middle is not the part's.
@@ -136,7 +141,7 @@ def place_on_surface(
             other = _best(mesh, surface, fine, side)
             best = _better(surface, clouds_of(fine), best, other)
         for rival in rivals(surface.bounds, best.pose):
-            other = _refined(surface, fine[:_COARSE], rival)
+            other = _searched(surface, fine[:_COARSE], rival)
             best = _better(surface, clouds_of(fine), best, other)
     # From here on, what is not near is something else.
     reach = _NEAR * surface.size_mm
@@ -226,7 +231,7 @@ def _best(mesh: Mesh, surface: Surface, points: Array, eye: Array | None) -> Pla
     clouds = clouds_of(points)
     best: Placed | None = None
     for k, start in closest_starts(mesh, points, None if eye is None else towards):
-        one = _refined(surface, clouds[k][:_COARSE], start)
+        one = _searched(surface, clouds[k][:_COARSE], start)
         best = one if best is None else _better(surface, clouds, best, one)
     assert best is not None  # there is a start of the whole cloud
     return best
@@ -247,6 +252,11 @@ def _better(surface: Surface, clouds: list[Array], a: Placed, b: Placed) -> Plac
     return a if first >= second else b
 
 
+def _searched(surface: Surface, points: Array, start: Pose) -> Placed:
+    """Return the place from a start that may be off by a few per cent of the part's size."""
+    return _refined(surface, points, start, wide_mm=_WIDE * surface.size_mm)
+
+
 def _refined(
     surface: Surface,
     points: Array,
@@ -254,8 +264,12 @@ def _refined(
     reach_mm: float = np.inf,
     told: float = TOLD,
     still: float = _STILL,
+    wide_mm: float = 0.0,
 ) -> Placed:
-    """Return the place from a start, by the points within reach; the others agree with nothing."""
+    """Return the place from a start, by the points within reach; the others agree with nothing.
+
+    Weights are those of a deviation of `wide_mm` at first.
+    """
     given = len(points)
     if np.isfinite(reach_mm):
         near = surface.nearest(start.to_local(points), reach_mm)
@@ -263,17 +277,19 @@ def _refined(
         points = within if len(within) >= LEAST else points
     middle = np.median(points, axis=0)
     size = float(np.linalg.norm(np.std(points, axis=0)))
-    pose = start
-    for _ in range(STEPS):
+    pose, wide, steps = start, wide_mm, 0
+    while steps < STEPS:
         near = surface.nearest(pose.to_local(points))
         away = np.abs(near.distance)
         scale = usual(away)
+        narrow = wide <= scale
+        scale, wide, steps = max(scale, wide), _NARROWER * wide, steps + narrow
         normal = product(near.normal, pose.rotation.T)
         residual = np.sum(normal * (points - pose.to_world(near.point)), axis=1)
         weight = tukey(away, scale)
         rows = motion_rows(points, normal, middle, size)
         step, untold = least_motion(rows, weight, residual, told)
-        if np.abs(step).max() <= still * size:
+        if narrow and np.abs(step).max() <= still * size:
             break
         pose = moved(pose, step, middle, size)
     return Placed(
