@@ -31,11 +31,14 @@ class Images(MatchedCode):
         Axes that are decoded; ``axes`` in a table.
     files : str
         Names of the files: one with a ``*``, the numbers in natural order.
+    blur_px : float
+        Standard deviation of the blur of lens and panel that pixels are matched with, px.  What is
+        shown stays sharp.  By default 0: matched with what is shown.
 
     Raises
     ------
     InputError
-        For pictures of another shape or type.
+        For pictures of another shape or type, and a blur that is none.
     """
 
     kind: ClassVar[str] = "images"
@@ -43,6 +46,7 @@ class Images(MatchedCode):
     pictures: NDArray[Any]
     coded: Literal["u", "v", "uv"] = "uv"
     files: str = "images_*.png"
+    blur_px: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -51,17 +55,24 @@ class Images(MatchedCode):
             raise InputError("Images: files", "grey pictures of 8 or 16 bit", got)
         if self.files.count("*") != 1 or Path(self.files).suffix.lower() != ".png":
             raise InputError("Images: files", 'a name with one *, such as "mine_*.png"', self.files)
+        most = 0.1 * min(self.pictures.shape[1:])
+        if not 0.0 <= self.blur_px <= most:
+            raise InputError("Images: blur_px", f"0 to {most:g} panel pixels", self.blur_px)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether both code the same axes by the same pictures."""
+        """Return whether both code the same axes by the same pictures, alike."""
         if not isinstance(other, Images):
             return NotImplemented
-        same = self.coded == other.coded and self.pictures.dtype == other.pictures.dtype
+        same = (
+            self.coded == other.coded
+            and self.blur_px == other.blur_px
+            and self.pictures.dtype == other.pictures.dtype
+        )
         return same and np.array_equal(self.pictures, other.pictures)
 
     def __hash__(self) -> int:
         """Return a hash of the pictures."""
-        return hash((self.coded, self.pictures.shape, self.pictures.tobytes()))
+        return hash((self.coded, self.blur_px, self.pictures.shape, self.pictures.tobytes()))
 
     @property
     def axes(self) -> tuple[Axis, ...]:
@@ -109,8 +120,8 @@ class Images(MatchedCode):
         from slbench.core.resources import inside
 
         for key in table:
-            if key not in ("axes", "files"):
-                raise InputError(f"Images: {key}", "one of the keys axes, files", key)
+            if key not in ("axes", "files", "blur_px"):
+                raise InputError(f"Images: {key}", "one of the keys axes, files, blur_px", key)
         pattern, coded = table.get("files"), table.get("axes", "uv")
         if not isinstance(pattern, str) or pattern.count("*") != 1:
             expected = 'names of pictures such as "mine_*.png"'
@@ -127,15 +138,16 @@ class Images(MatchedCode):
             if one.shape != pictures[0].shape or one.dtype != pictures[0].dtype:
                 expected = f"pictures like {paths[0].name}"
                 raise InputError("Images: files", expected, f"{path.name}, of other size or depth")
-        return cls(np.array(pictures), coded, pattern)
+        return cls(np.array(pictures), coded, pattern, table.get("blur_px", 0.0))
 
     def to_table(self, folder: Path | None) -> dict[str, Any]:
         """Return the table; the pictures are written beside it, numbered.
 
         Those of a second code go to a folder of their own, ``2/``.
         """
+        known = {"blur_px": self.blur_px} if self.blur_px else {}
         if folder is None:
-            return {"axes": self.coded, "files": self.files}
+            return {"axes": self.coded, "files": self.files} | known
         from slbench.core.io.images import write_png
 
         files, k = self.files, 1
@@ -147,7 +159,7 @@ class Images(MatchedCode):
             path = folder / files.replace("*", f"{k:0{digits}d}")
             path.parent.mkdir(parents=True, exist_ok=True)
             write_png(path, picture)
-        return {"axes": self.coded, "files": files}
+        return {"axes": self.coded, "files": files} | known
 
     @property
     def word(self) -> str:

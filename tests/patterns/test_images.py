@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
@@ -96,6 +97,51 @@ def test_pictures_are_read_from_and_kept_beside_a_manifest(tmp_path):
     saved = tmp_path / "capture"
     Capture(np.rint(200 * sequence.images()).astype(np.uint8), sequence).save(saved)
     assert Capture.load(saved).sequence == sequence
+
+
+@pytest.mark.parametrize("coded", ["u", "uv"])
+def test_binary_pictures_that_a_lens_softened_are_decoded_within_a_pixel(coded):
+    """Sharp, they tell a pixel from the next; a known blur tells places between them."""
+    blur, count = 1.2, 14 if coded == "u" else 24
+    rng = np.random.default_rng(14)
+    bits = rng.integers(0, 2, (count, 1 if coded == "u" else PANEL[1], PANEL[0]))
+    bits = np.repeat(bits, PANEL[1] // bits.shape[1], axis=1)
+    sharp = (255 * bits).astype(np.uint8)
+    soft = gaussian_filter(255.0 * bits, blur, mode="nearest", axes=(1, 2))
+    u, v = rng.uniform(6, PANEL[0] - 6, 600), rng.integers(6, PANEL[1] - 6, 600)
+    if coded == "uv":
+        u = np.rint(u)
+    frames = np.array([map_coordinates(one, (v, u), order=3) for one in soft])
+    frames = (30 + 0.6 * frames + rng.normal(0, 1, frames.shape))[:, np.newaxis]
+
+    def found(blur_px):
+        sequence = PatternSequence(PANEL, (Images(sharp, coded, blur_px=blur_px),))
+        return decode(frames, sequence, noise=NOISE)
+
+    known = found(blur)
+    error = known.coordinate["u"][0] - u
+    assert known.mask.mean() > 0.95
+    ratio = (error / known.sigma["u"][0])[known.mask[0]]
+    # 600 draws tell a deviation to 3 %; slopes over two pixels are some per cent small.
+    assert ratio.std() == pytest.approx(1.0, rel=0.15)
+    assert np.median(np.abs(error[known.mask[0]])) < 0.1
+    plain = found(0.0)
+    off = np.abs(plain.coordinate["u"][0] - u)[plain.mask[0]]
+    assert not plain.mask.any() or np.median(off) > 2.0 * np.median(np.abs(error[known.mask[0]]))
+
+
+def test_a_known_blur_is_kept_with_the_pictures(tmp_path):
+    sequence = PatternSequence(PANEL, (Images(smooth(5, 15, "u"), "u", blur_px=0.8),))
+    again = PatternSequence.from_dict(sequence.to_dict(tmp_path), tmp_path)
+    assert again == sequence
+    assert again.parts[0].blur_px == 0.8
+    assert sequence != PatternSequence(PANEL, (Images(smooth(5, 15, "u"), "u"),))
+
+
+@pytest.mark.parametrize("blur", [-0.1, float("nan"), 7.0, "2"])
+def test_a_blur_that_is_none_is_refused(blur):
+    with pytest.raises(InputError, match=r"blur_px: expected .*(panel pixels|\(px\))"):
+        Images(smooth(3, 16), "u", blur_px=blur)
 
 
 @pytest.mark.parametrize(

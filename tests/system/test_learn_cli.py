@@ -4,8 +4,11 @@ import importlib.util
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scenes_small import check_refused, run_cli, write_scene
+
+from slbench.patterns import read_patterns
 
 DOCS = Path(__file__).parents[2] / "docs"
 LEARN = ("design", "patterns", "--learn")
@@ -25,6 +28,8 @@ def test_without_pytorch_it_says_how_to_get_it(monkeypatch, tmp_path):
         (["--learn", "--scene", "plane", "--width-px", "400"], "--width-px"),
         (["--noise-rad", "0.1", "--steps", "50"], "--steps: expected only with --learn"),
         (["--noise-rad", "0.1", "--held-out", "plane"], "--held-out"),
+        (["--noise-rad", "0.1", "--binary"], "--binary: expected only with --learn"),
+        (["--noise-rad", "0.1", "--seeds", "2"], "--seeds: expected only with --learn"),
     ],
 )
 def test_options_that_would_be_ignored_are_refused(options, said):
@@ -65,6 +70,27 @@ class TestLearning:
         )
         assert written.status == 0, written.err
         assert len(list((tmp_path / "session" / "patterns").glob("*.png"))) == 6
+
+    @pytest.mark.slow
+    def test_binary_codes_of_several_seeds_are_judged_together(self, tmp_path):
+        scene, out = write_scene(tmp_path), tmp_path / "sets"
+        options = ("--steps", 60, "--scans", 2, "--max-fringes", 24, "--seed", 3, "--seeds", 2)
+        made = run_cli(*LEARN, "--scene", scene, "--binary", *options, "--out", out)
+        assert made.status == 0, made.err
+        assert "over 2 seeds" in made.out
+        whole = json.loads((out / "learned.json").read_text())
+        assert whole["seeds"] == [3, 4]
+        assert whole["ratio_ci95"][0] <= whole["ratio"] <= whole["ratio_ci95"][1]
+        for k, verdict in zip(whole["seeds"], whole["verdicts"], strict=True):
+            own = json.loads((out / f"seed-{k}" / "learned.json").read_text())
+            assert own["verdict"] == verdict
+            assert own["binary"]
+            assert own["blur_px"] > 0.75
+            read = read_patterns(out / f"seed-{k}", (640, 480)).sequence
+            assert set(np.unique(read.images())) == {0.0, 1.0}
+            assert read.parts[0].blur_px == own["blur_px"]
+        again = run_cli(*LEARN, "--scene", scene, "--binary", *options, "--out", out)
+        assert again.status == 0, again.err  # its own folder is replaced
 
     @pytest.mark.slow
     def test_the_example_learns_patterns_that_hold_on_unseen_scenes(self, tmp_path):

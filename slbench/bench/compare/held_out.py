@@ -107,7 +107,12 @@ class Verdict:
     @property
     def beats(self) -> bool:
         """Whether the learned set is better, beyond chance, and loses no surface."""
-        return self.ratio_ci95[1] < 1.0 and self.right >= self.fixed_right - _SHARE
+        return self.ratio_ci95[1] < 1.0 and self.keeps
+
+    @property
+    def keeps(self) -> bool:
+        """Whether it measures as much surface rightly as the fixed set, but for one per cent."""
+        return self.right >= self.fixed_right - _SHARE
 
     def text(self) -> str:
         """Return the verdict in words."""
@@ -255,13 +260,28 @@ def hold(
     return Verdict(best, tuple(ranked), tuple(scenes), ratio, interval, right, fixed_right)
 
 
+def over_seeds(verdicts: Sequence[Verdict]) -> tuple[float, tuple[float, float]]:
+    """Return the geometric mean of several codes' ratios and its 95 % interval (Student's t).
+
+    Parameters
+    ----------
+    verdicts : sequence of Verdict
+        Two or more, of codes that were learned from other starts, on other scenes.
+    """
+    return _mean_ratio([one.ratio for one in verdicts])
+
+
 def _over_scenes(scenes: Sequence[OnScene]) -> tuple[float, tuple[float, float]]:
     """Return the geometric mean of the ratios and its 95 % interval."""
     if len(scenes) == 1:
         return scenes[0].ratio, scenes[0].ratio_ci95
+    return _mean_ratio([one.ratio for one in scenes])
+
+
+def _mean_ratio(ratios: Sequence[float]) -> tuple[float, tuple[float, float]]:
     from scipy.stats import t
 
-    logs = np.log([one.ratio for one in scenes])
+    logs = np.log(ratios)
     half = float(t.ppf(0.975, len(logs) - 1) * logs.std(ddof=1) / math.sqrt(len(logs)))
     mean = float(logs.mean())
     return math.exp(mean), (math.exp(mean - half), math.exp(mean + half))

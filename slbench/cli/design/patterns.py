@@ -55,7 +55,7 @@ APPLIES = {
     "preview": "--scene",
     "shifts": "--noise-rad, --noise-table or --scene",
     "seed": "--scene or --method monte-carlo",
-    **dict.fromkeys(("data", "held_out", "against", "steps", "out"), "--learn"),
+    **dict.fromkeys(("data", "held_out", "binary", "against", "steps", "seeds", "out"), "--learn"),
 }
 
 
@@ -152,11 +152,18 @@ def patterns(
         list[str] | None,
         typer.Option(metavar="SCENE", help="learn: scene to judge the code on; give each."),
     ] = None,
+    binary: Annotated[
+        bool,
+        typer.Option("--binary", help="learn: columns on or off, which the lens softens."),
+    ] = False,
     against: Annotated[
         Literal["matching", "bound"],
         typer.Option(help="learn: the matching decoder's error, or the Cramér-Rao bound."),
     ] = "matching",
     steps: Annotated[LearningSteps, typer.Option(help="learn: steps of the descent.")] = 3000,
+    seeds: Annotated[
+        int, typer.Option(min=1, max=100, help="learn: so many codes, of --seed and the next.")
+    ] = 1,
     out: Annotated[
         Path | None, typer.Option(help="learn: folder to write.  [default: out/learned-patterns]")
     ] = None,
@@ -181,8 +188,10 @@ def patterns(
             held_out=held_out,
             frames=frames,
             max_fringes=max_fringes,
+            binary=binary,
             against=against,
             steps=steps,
+            seeds=seeds,
             out=out,
             scans=scans if "scans" in _given(context) else None,
             seed=seed,

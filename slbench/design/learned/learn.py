@@ -15,7 +15,7 @@ from slbench.core.show.display import brief
 from slbench.core.validation.types import Interval, LearningSteps, Seed
 from slbench.core.validation.values import checked
 from slbench.design.learned.objective import Lit, Worth, loss, worth
-from slbench.design.learned.waves import Waves
+from slbench.design.learned.waves import Bits, Waves
 from slbench.patterns import PatternSequence
 from slbench.patterns.images import Images
 from slbench.scene.model import Scene
@@ -34,6 +34,9 @@ _STARTS, _TRIED = 3, 0.1
 _RATE = 0.03
 #: Contrast that the finest waves keep in the middling pixel, and panel pixels that they need.
 _CONTRAST, _LEAST_PX = 0.35, 6.0
+#: Contrast from which on its fall tells the blur, and the least blur that binary codes need, px:
+#: less leaves steps from column to column that the decoder takes for edges.
+_CLEAR, _LEAST_BLUR = 0.1, 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,20 +53,25 @@ class LearnedCode:
         Median deviation that the decoder is predicted to have on the light that was learned on, px.
     lost : float
         Mean probability there that a pixel is placed wrongly, or masked as ambiguous.
+    blur_px : float
+        Of binary codes: standard deviation of the blur that the decoder knows them by, px.
     """
 
     values: NDArray[np.float64]
     count: int
     deviation_px: float
     lost: float
+    blur_px: float = 0.0
 
     __repr__ = brief
 
     def sequence(self, height: int) -> PatternSequence:
-        """Return the pattern set: pictures of 16 bits for a panel of that height."""
-        rows = np.rint(self.values * 65535.0).astype(np.uint16)
+        """Return the pattern set for a panel of that height: pictures of 16 bits, binary of 8."""
+        depth = np.uint8 if self.blur_px else np.uint16
+        rows = np.rint(self.values * np.iinfo(depth).max).astype(depth)
         pictures = np.repeat(rows[:, np.newaxis], height, axis=1)
-        return PatternSequence((rows.shape[1], height), (Images(pictures, "u", "learned_*.png"),))
+        images = Images(pictures, "u", "learned_*.png", self.blur_px)
+        return PatternSequence((rows.shape[1], height), (images,))
 
 
 def lit_of(
@@ -91,20 +99,44 @@ def finest(lights: Sequence[Lit]) -> int:
 
     That of the median pixel, worst scene, is 0.35 of a coarse fringe's at least.
     """
+    counts, kept = _contrasts(lights)
+    good = counts[kept.min(axis=0) >= _CONTRAST]
+    return int(good.max(initial=counts[0]))
+
+
+def softness(lights: Sequence[Lit]) -> float:
+    """Return the standard deviation of the blur of lens and camera, panel px.
+
+    A Gaussian's, by how the contrast of the median pixel falls with the number of cycles n across
+    W pixels, ``ln c = a - 2 (pi blur n / W)^2``: light that comes indirectly, which takes the
+    same from all of them, is in a.  Mean over the scenes.
+    """
+    size = lights[0].exposure.light.panel[0]
+    counts, kept = _contrasts(lights)
+    falls = []
+    for row in kept:
+        clear = row >= _CLEAR
+        x = 2.0 * (np.pi * counts[clear] / size) ** 2
+        falls.append(-np.polyfit(x, np.log(row[clear]), 1)[0] if clear.sum() > 1 else np.nan)
+    square = float(np.nanmean(falls)) if np.isfinite(falls).any() else 0.0
+    return float(np.sqrt(max(square, 0.0)))
+
+
+def _contrasts(lights: Sequence[Lit]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return numbers of cycles and the contrast that the median pixel of each scene has of them."""
     torch = extra("torch", "torch")
     size = lights[0].exposure.light.panel[0]
     places = 2.0 * np.pi * (torch.arange(size) + 0.5) / size
     counts = np.unique(np.geomspace(2.0, size / _LEAST_PX, 24).astype(int))
-    kept = np.full(len(counts), np.inf)
-    for lit in lights:
+    kept = np.zeros((len(lights), len(counts)))
+    for row, lit in zip(kept, lights, strict=True):
         light = lit.exposure.light
         white = light(torch.ones(1, size)) - light.ambient
         for k, n in enumerate(counts.tolist()):
             waves = 0.5 + 0.5 * torch.stack((torch.cos(n * places), torch.sin(n * places)))
             parts = light(waves) - light.ambient - 0.5 * white
-            kept[k] = min(kept[k], float((2.0 * parts.norm(dim=0) / white[0]).median()))
-    good = counts[kept >= _CONTRAST]
-    return int(good.max(initial=counts[0]))
+            row[k] = float((2.0 * parts.norm(dim=0) / white[0]).median())
+    return counts, kept
 
 
 @checked
@@ -113,6 +145,7 @@ def learn(
     frames: LearnedFrames,
     *,
     count: int | None = None,
+    binary: bool = False,
     against: Against = "matching",
     steps: LearningSteps = 3000,
     seed: Seed = 0,
@@ -120,7 +153,8 @@ def learn(
 ) -> LearnedCode:
     """Learn a code on the light of scenes by gradients.
 
-    Of three random starts the one that is best after a tenth of the steps goes on.
+    Of three random starts the one that is best after a tenth of the steps goes on.  A binary code's
+    columns are on or off; its decoder knows the blur of lens and panel (:func:`softness`).
 
     Parameters
     ----------
@@ -130,7 +164,8 @@ def learn(
         4 to 64.
     count : int, optional
         Highest number of cycles across the panel; by default what lens and camera pass
-        (:func:`finest`).
+        (:func:`finest`).  A binary code begins with it, and is not held to it.
+    binary : bool
     against : {"matching", "bound"}
         What is made least beside lost pixels: the matching decoder's error, or the Cramer-Rao
         bound.
@@ -146,7 +181,8 @@ def learn(
     Raises
     ------
     InputError
-        For no light, light of other panels, or arguments out of range.
+        For no light, light of other panels, arguments out of range, or a binary code where the lens
+        is too sharp for one.
     """
     torch = extra("torch", "torch")
     sizes = {lit.exposure.light.panel for lit in lights}
@@ -156,11 +192,21 @@ def learn(
     count = finest(lights) if count is None else count
     if not 1 <= count <= size / 4:
         raise InputError("learn: count", f"1 to {size // 4} cycles", count)
+    blur = softness(lights) if binary else 0.0
+    if binary and blur < _LEAST_BLUR:
+        expected = f"a blur of {_LEAST_BLUR} panel pixels at least, to tell places between columns"
+        raise InputError("learn: binary", expected, f"{blur:.2f} px on this light")
+
+    def begun(start: int) -> Waves | Bits:
+        if binary:
+            return Bits(frames, count, size, start, blur)
+        return Waves(frames, count, size, start)
+
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # tensors as small as these gain nothing from more
     try:
         descents = [
-            _Descent(lights, Waves(frames, count, size, start), against, steps, start)
+            _Descent(lights, begun(start), against, steps, start)
             for start in range(seed * _STARTS, (seed + 1) * _STARTS)
         ]
         tried = int(_TRIED * steps)
@@ -180,8 +226,7 @@ def learn(
         go_on(best, steps)
         with torch.no_grad():
             found = [best.worth(lit, torch.arange(len(lit.places))) for lit in lights]
-            code = best.code
-            shown = code.at(code.series(torch.arange(float(size))), code.range())
+            shown = best.code.profiles().shown
     finally:
         torch.set_num_threads(threads)
     return LearnedCode(
@@ -189,6 +234,7 @@ def learn(
         count,
         float(np.median([float(one.deviation.median()) for one in found])),
         float(np.mean([float(one.lost.mean()) for one in found])),
+        blur,
     )
 
 
@@ -196,7 +242,7 @@ class _Descent:
     """One start on its way down."""
 
     def __init__(
-        self, lights: Sequence[Lit], code: Waves, against: Against, steps: int, seed: int
+        self, lights: Sequence[Lit], code: Waves | Bits, against: Against, steps: int, seed: int
     ) -> None:
         torch = extra("torch", "torch")
         self.lights, self.code, self.against, self.step = lights, code, against, 0

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.core.extras import extra
-from slbench.design.learned.waves import Waves
+from slbench.design.learned.waves import Bits, Waves
 from slbench.patterns.matching.match import AMBIGUOUS
 from slbench.simulate.torch_exposure import TorchExposure
 
@@ -39,8 +39,8 @@ WRONG_PX = 2.0
 PRICE = 25.0
 #: Panel pixels between rivals that are looked at; where they begin is drawn.
 _STEP = 2
-#: Places whose difference is the slope a pixel.
-_BESIDE = (-0.5, 0.5)
+#: The slope a pixel, to fourth order, by what is seen of the pattern moved by so many pixels.
+_STENCIL = {1: 8 / 12, -1: -8 / 12, 2: -1 / 12, -2: 1 / 12}
 
 
 class Lit(NamedTuple):
@@ -65,12 +65,12 @@ class Worth(NamedTuple):
     lost: Any
 
 
-def worth(code: Waves, lit: Lit, seen: Any, bound: bool, generator: Any) -> Worth:
+def worth(code: Waves | Bits, lit: Lit, seen: Any, bound: bool, generator: Any) -> Worth:
     """Return what a code is worth for some pixels of light.
 
     Parameters
     ----------
-    code : Waves
+    code : Waves or Bits
     lit : Lit
     seen : (n,) tensor
         Which of its pixels.
@@ -80,27 +80,26 @@ def worth(code: Waves, lit: Lit, seen: Any, bound: bool, generator: Any) -> Wort
         Of the noise.
     """
     torch = extra("torch", "torch")
-    ends, exposure = code.range(), lit.exposure
-    own = exposure.detector
-    columns = torch.arange(code.size, dtype=torch.float32)
-    shown = code.at(code.series(columns), ends)
+    profiles, exposure = code.profiles(), lit.exposure
+    own, shown = exposure.detector, profiles.shown
     charge = exposure.electrons(shown.T)[:, seen].T
     mean = charge / own.e_per_dn
     variance = (charge + own.read_noise_e**2) / own.e_per_dn**2 + 1.0 / 12.0
     root = variance.sqrt()
     places = torch.as_tensor(lit.places, dtype=torch.float32)[seen]
-    here = code.series(places)
-    known = code.at(here, ends)
+    known = profiles.at(places)
     weighed, vector = mean / root, known / root
     one, two = _orthonormal(1.0 / root, vector)
     if bound:
-        moved = [exposure.electrons(code.at(code.series(columns + by), ends).T) for by in _BESIDE]
-        slope = (moved[1] - moved[0])[:, seen].T / own.e_per_dn / root
+        moved = (_moved(shown, by) for by in _STENCIL)
+        charges = zip(_STENCIL.values(), moved, strict=True)
+        slope = sum(share * exposure.electrons(one.T)[:, seen].T for share, one in charges)
+        slope = slope / own.e_per_dn / root
         left = _taken(slope, *_orthonormal(1.0 / root, weighed))
         square = 1.0 / left.square().sum(dim=1).clamp(min=1e-12)
     else:
         gain = (weighed * two).sum(dim=1) / (vector * two).sum(dim=1).clamp(min=1e-6)
-        left = _taken(code.slope(here, ends) / root, one, two) * gain[:, None]
+        left = _taken(profiles.slope(places) / root, one, two) * gain[:, None]
         information = left.square().sum(dim=1).clamp(min=1e-12)
         rest = _taken(weighed, one, two)
         square = 1.0 / information + ((rest * left).sum(dim=1) / information).square()
@@ -113,7 +112,7 @@ def worth(code: Waves, lit: Lit, seen: Any, bound: bool, generator: Any) -> Wort
     noisy = noisy - noisy.mean(dim=1, keepdim=True)
     true = (noisy * _unit(known)).sum(dim=1, keepdim=True)
     every = _STEP * torch.arange(code.size // _STEP) + float(torch.rand((), generator=generator))
-    others = noisy @ _unit(code.at(code.series(every), ends)).T
+    others = noisy @ _unit(profiles.at(every)).T
     near = (every - places[:, None]).abs() <= WRONG_PX
     asked = torch.zeros(1 + len(every))
     asked[0] = 0.5 * AMBIGUOUS
@@ -125,6 +124,12 @@ def worth(code: Waves, lit: Lit, seen: Any, bound: bool, generator: Any) -> Wort
 def loss(found: Worth) -> Any:
     """Return what is made least: the mean logarithm of the deviations, and the pixels lost."""
     return found.deviation.log().mean() + PRICE * found.lost.mean()
+
+
+def _moved(shown: Any, by: int) -> Any:
+    """Return what columns (W, K) show so many pixels on; the last goes on at the end."""
+    torch = extra("torch", "torch")
+    return shown[(torch.arange(len(shown)) + by).clamp(0, len(shown) - 1)]
 
 
 def _orthonormal(one: Any, two: Any) -> tuple[Any, Any]:

@@ -27,6 +27,9 @@ from slbench.rig.optics.response import Response
 
 #: Share of the places that may show what another part of the panel shows, and what is another part.
 _MOST_REPEATED, _NEARBY = 0.95, 0.02
+#: Where more than this share of the places may be, as many places a pixel are searched: half a
+#: pixel from a column such frames may fit another part better.
+_CONTESTED, _FINER = 0.1, 4
 
 
 class MatchedCode(Code):
@@ -43,6 +46,11 @@ class MatchedCode(Code):
         """What is unknown of a pixel beside its place: a gain and an offset, by default."""
         return Nuisance()
 
+    @property
+    def blur_px(self) -> float:
+        """Standard deviation of the blur that is matched with, px: that of lens and panel."""
+        return 0.0
+
     def straightened(
         self, frames: NDArray[Any], panel: Panel, response: Response, saturation: float
     ) -> NDArray[Any]:
@@ -54,7 +62,11 @@ class MatchedCode(Code):
         """Return the code vectors of a run along its one axis, as a projector shows them."""
         size = extent(run.panel, run.axes[0])
         profiles = [
-            _lit([placed.code.profile(k, size) for k in range(len(placed.frames))], response)
+            _seen(
+                [placed.code.profile(k, size) for k in range(len(placed.frames))],
+                placed.code,
+                response,
+            )
             for placed in run.parts
         ]
         return vectors_of_parts(profiles, run.parts[0].code)
@@ -74,7 +86,10 @@ class MatchedCode(Code):
         if coarse is not None:
             known = np.where(coarse.mask, coarse.coordinate, np.nan)
             near = (known, coarse.sigma)
-        result = match(pixels, cls.vectors(run, observed.response), observed.noise, near)
+        vectors = cls.vectors(run, observed.response)
+        codes = tuple(placed.code for placed in run.parts)
+        finer = _FINER if _repeated(codes, run.panel) > _CONTESTED else 1
+        result = match(pixels, vectors, observed.noise, near, finer)
         mean: FloatArray = pixels.mean(axis=0, dtype=np.float64)
         modulation = 0.5 * result.gain
         noise = np.sqrt(observed.noise.variance(mean))
@@ -122,7 +137,7 @@ class MatchedCode(Code):
 def _repeated(codes: tuple[Code, ...], panel: Panel) -> float:
     """Return the share of places that another part of the panel shows too, to half a pixel."""
     size = extent(panel, codes[0].axes[0])
-    profiles = [np.array([c.profile(k, size) for k in range(c.n_frames(panel))]) for c in codes]
+    profiles = [_seen([c.profile(k, size) for k in range(c.n_frames(panel))], c) for c in codes]
     vectors = vectors_of_parts(profiles, codes[0])
     first, last = vectors.cells()
     flat = vectors.basis().reshape(size, -1)
@@ -144,11 +159,19 @@ def _decode_plane(run: Run, observed: Observed) -> Decoded:
     from slbench.patterns.matching.plane import match_plane
 
     pixels = observed.pixels[[k for placed in run.parts for k in placed.frames]]
-    images = [p.code.image(k, run.panel) for p in run.parts for k in range(len(p.frames))]
     mean: FloatArray = pixels.mean(axis=0, dtype=np.float64)
     noise = np.sqrt(observed.noise.variance(mean))
     least = np.maximum(observed.min_modulation, observed.min_snr * noise)
-    shown = _lit(images, observed.response)
+    shown = np.concatenate(
+        [
+            _seen(
+                [p.code.image(k, run.panel) for k in range(len(p.frames))],
+                p.code,
+                observed.response,
+            )
+            for p in run.parts
+        ]
+    )
     result = match_plane(pixels, shown, observed.noise, 2.0 * least)
     modulation = 0.5 * result.gain
     good = modulation >= least
@@ -172,10 +195,19 @@ def _decode_plane(run: Run, observed: Observed) -> Decoded:
     }
 
 
-def _lit(shown: Sequence[FloatArray], response: Response | None) -> FloatArray:
-    """Return the light of pattern values."""
+def _seen(shown: Sequence[FloatArray], code: Code, response: Response | None = None) -> FloatArray:
+    """Return the light of pattern values (n, ...) as the lens shows it, by what is known of it."""
+    from scipy.ndimage import gaussian_filter
+
     values = np.array(shown)
-    return values if response is None else response.light(np.clip(values, 0.0, 1.0))
+    if response is not None:
+        values = response.light(np.clip(values, 0.0, 1.0))
+    blur = code.blur_px if isinstance(code, MatchedCode) else 0.0
+    if blur <= 0.0:
+        return values
+    axes = tuple(range(1, values.ndim))
+    softened: FloatArray = gaussian_filter(values, blur, mode="nearest", axes=axes)
+    return softened
 
 
 def vectors_of_parts(profiles: Sequence[FloatArray], code: Code) -> CodeVectors:

@@ -59,6 +59,7 @@ def match(
     vectors: CodeVectors,
     noise: NoiseModel,
     near: tuple[FloatArray, FloatArray] | None = None,
+    finer: int = 1,
 ) -> Matched1D:
     """Match pixels to the code vectors of places along one axis.
 
@@ -71,6 +72,9 @@ def match(
         Weights the frames and gives the standard deviation.
     near : ((P,), (P,)), optional
         Coordinate and standard deviation that a coarser code has found; others are not searched.
+    finer : int
+        Places a panel pixel that are searched, those between pixels by the vectors' cubics.  Where
+        a coarser code was found, or edges and places alike make pixels of the panel: one.
 
     Returns
     -------
@@ -78,6 +82,11 @@ def match(
     """
     from slbench.patterns.kernels.matching import padded, refine, search
 
+    starts, stops = vectors.cells()
+    if near is not None or vectors.edged().any() or np.any(stops > starts):
+        finer = 1
+    else:
+        vectors = vectors.finer(finer)
     places, count = vectors.values.shape[1], pixels.shape[1]
     frames = np.ascontiguousarray(pixels, dtype=np.float32)
     first, last = np.zeros(count, np.int32), np.full(count, places - 1, np.int32)
@@ -95,7 +104,7 @@ def match(
     starts, stops = vectors.cells()
     wide = stops > starts
     edged = vectors.edged()
-    reach = np.where(edged, 0.5, 4.0)
+    reach = np.where(edged, 0.5, 4.0 * finer)
     reach[wide] = 0.0
     coefficients = noise.coefficients
     coefficients[0] = max(coefficients[0], 1e-12)
@@ -123,8 +132,8 @@ def match(
         doubt = np.fmax(stated, stated * left / freedom if freedom > 0 else np.nan)
         sure = (energy - rival) > AMBIGUOUS * doubt
         return Matched1D(
-            coordinate=coordinate,
-            sigma=np.sqrt(variance),
+            coordinate=coordinate / finer,
+            sigma=np.sqrt(variance) / finer,
             gain=gain,
             sure=sure,
             correlation=np.sqrt(np.minimum(energy / power, 1.0)).astype(np.float32),

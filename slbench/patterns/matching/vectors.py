@@ -117,6 +117,17 @@ class CodeVectors:
             pieces[:, :, smooth] = spline.c[::-1].transpose(1, 0, 2)
         return pieces
 
+    def finer(self, times: int) -> CodeVectors:
+        """Return the vectors of places 1 / `times` pixels apart, (N, times (X - 1) + 1)."""
+        a, b, c, d = self.pieces().transpose(1, 2, 0)
+        middle = 0.0 if self.nuisance.gain == "common" else 0.5
+        values = np.empty((len(self.values), times * (self.values.shape[1] - 1) + 1))
+        values[:, ::times] = self.values
+        for k in range(1, times):
+            t = k / times
+            values[:, k::times] = a + t * (b + t * (c + t * d)) + middle
+        return CodeVectors(values, self.parts, self.nuisance)
+
     def cells(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first and the last place with the same vector, (X,) each."""
         edges = np.abs(np.diff(self.values, axis=1)).max(axis=0) > 1e-9

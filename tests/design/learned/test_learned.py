@@ -1,17 +1,20 @@
 """Codes learned on light: waves, what they are worth beside what a decoder does, the descent."""
 
+from unittest.mock import Mock
+
 import numpy as np
 import pytest
 from scenes_small import small, transport_of, truth_of
+from scipy.ndimage import gaussian_filter1d
 
 torch = pytest.importorskip("torch", reason="PyTorch (the extra `torch`) is not installed")
 
 from slbench.capture.capture import Capture  # noqa: E402
 from slbench.core.errors import InputError  # noqa: E402
 from slbench.core.io import write_toml  # noqa: E402
-from slbench.design.learned.learn import finest, learn, lit_of  # noqa: E402
-from slbench.design.learned.objective import worth  # noqa: E402
-from slbench.design.learned.waves import Waves  # noqa: E402
+from slbench.design.learned.learn import finest, learn, lit_of, softness  # noqa: E402
+from slbench.design.learned.objective import Lit, worth  # noqa: E402
+from slbench.design.learned.waves import Bits, Waves  # noqa: E402
 from slbench.patterns import read_patterns  # noqa: E402
 from slbench.simulate.expose import capture  # noqa: E402
 
@@ -31,23 +34,62 @@ def code(lit):
 def test_waves_fill_the_range_and_have_their_slopes():
     code = Waves(5, 12, 200, seed=3)
     with torch.no_grad():
-        ends = code.range()
-        fine = code.at(code.series(torch.linspace(-0.5, 199.5, 4001)), ends)
+        profiles = code.profiles()
+        fine = profiles.at(torch.linspace(-0.5, 199.5, 4001))
         # Extremes are looked for at two places a pixel; the finest wave has 17 pixels.
         np.testing.assert_allclose(fine.amin(dim=0), 0.0, atol=1e-3)
         np.testing.assert_allclose(fine.amax(dim=0), 1.0, atol=2e-2)
-        places = torch.linspace(20.0, 180.0, 60)
-        step = 0.05
-        sides = [code.at(code.series(places + by), ends) for by in (-step, step)]
-        slopes = code.slope(code.series(places), ends)
-        clear = ((sides[0] > 0.01) & (sides[0] < 0.99)).numpy()
-        found = ((sides[1] - sides[0]) / (2 * step)).numpy()
-        # Single precision over a difference of 0.1 px.
-        np.testing.assert_allclose(slopes.numpy()[clear], found[clear], atol=1e-4)
+        np.testing.assert_array_equal(profiles.shown, profiles.at(torch.arange(200.0)))
+        slopes_are_those(profiles, atol=1e-4)  # single precision over a difference of 0.1 px
 
 
-def test_predicted_deviation_is_that_of_the_decoder(lit, code):
+def test_bits_are_known_as_the_lens_softens_them():
+    """Columns of zeros and ones; values between them are the softened steps, in closed form."""
+    blur = 1.1
+    code = Bits(4, 20, 200, seed=3, blur_px=blur)
+    with torch.no_grad():
+        profiles = code.profiles()
+        shown = profiles.shown.numpy()
+        assert set(np.unique(shown)) == {0.0, 1.0}
+        # Softened by samples of the Gaussian, whose sums are its integrals to a per mille.
+        soft = gaussian_filter1d(shown, blur, axis=0, mode="nearest")
+        np.testing.assert_allclose(profiles.at(torch.arange(200.0)), soft, atol=1e-3)
+        slopes_are_those(profiles, atol=1e-3)  # a difference's own error, c''' h^2 / 6
+    # The gradient passes where a threshold has none.
+    profiles = code.profiles()
+    profiles.at(torch.tensor([50.3])).sum().backward()
+    assert code.weights.grad.abs().sum() > 0.0
+
+
+def slopes_are_those(profiles, atol):
+    places, step = torch.arange(20.0, 180.0, 3.0) + 0.35, 0.05  # between columns
+    sides = [profiles.at(places + by) for by in (-step, step)]
+    clear = ((sides[0] > 0.01) & (sides[0] < 0.99)).numpy()
+    found = ((sides[1] - sides[0]) / (2 * step)).numpy()
+    np.testing.assert_allclose(profiles.slope(places).numpy()[clear], found[clear], atol=atol)
+
+
+def test_predicted_deviation_is_that_of_the_decoder(code):
     """The closed form beside repeated captures, decoded."""
+    measured, kept = decoded(code)
+    # The model has neither PRNU (0.5 %) nor what the surface does within a pixel.
+    assert code.deviation_px == pytest.approx(measured, rel=0.15)
+    assert kept > 0.97
+
+
+def test_a_binary_code_is_predicted_too_and_finer_than_its_columns(lit):
+    binary = learn([lit], FRAMES, binary=True, steps=300, seed=1)
+    assert set(np.unique(binary.values)) == {0.0, 1.0}
+    assert binary.blur_px == pytest.approx(softness([lit]))
+    measured, kept = decoded(binary)
+    # As above; and the lens's spread is a Gaussian's to a per cent only.
+    assert binary.deviation_px == pytest.approx(measured, rel=0.2)
+    assert measured < 0.1  # a column known to itself alone: 0.29 px
+    assert kept > 0.95
+
+
+def decoded(code):
+    """Return the median deviation of repeated captures that are decoded, px, and what is placed."""
     scene, transport, truth = (
         small("step-block"),
         transport_of("step-block"),
@@ -66,10 +108,19 @@ def test_predicted_deviation_is_that_of_the_decoder(lit, code):
         near = mask & (np.abs(error) < 2.0)
         squares += np.where(near, error**2, 0.0)
         kept += near
-    measured = np.sqrt(np.median((squares / np.maximum(kept, 1))[kept > REPEATS // 2]))
-    # The model has neither PRNU (0.5 %) nor what the surface does within a pixel.
-    assert code.deviation_px == pytest.approx(measured, rel=0.15)
-    assert np.mean(kept) / REPEATS > 0.97
+    deviations = np.sqrt((squares / np.maximum(kept, 1))[kept > REPEATS // 2])
+    return float(np.median(deviations)), float(np.mean(kept) / REPEATS)
+
+
+def test_softness_is_the_blur_that_was_put_in(lit):
+    """Light through a Gaussian of 2 px, a share of it spread over the whole panel."""
+    size = lit.exposure.light.panel[0]
+    places = np.arange(100.0, 300.0)
+    direct = np.exp(-0.5 * ((np.arange(size) - places[:, None]) / 2.0) ** 2)
+    rows = direct / direct.sum(axis=1, keepdims=True) + 0.3 / size
+    fake = Mock(panel=(size,), ambient=torch.zeros(len(places)))
+    fake.side_effect = lambda shown: shown @ torch.tensor(rows.T, dtype=torch.float32)
+    assert softness([Lit(Mock(light=fake), places)]) == pytest.approx(2.0, rel=0.01)
 
 
 def test_the_bound_is_less_than_the_decoder_attains(lit):
@@ -117,3 +168,6 @@ def test_refusals(lit):
         learn([lit], FRAMES, count=5000)
     with pytest.raises(InputError, match=r"frames"):
         learn([lit], 3)
+    sharp = Mock(panel=(640,), ambient=torch.zeros(640), side_effect=lambda shown: shown)
+    with pytest.raises(InputError, match=r"binary: expected a blur of 0.75 .* 0.00 px"):
+        learn([Lit(Mock(light=sharp), np.arange(640.0))], FRAMES, binary=True)
