@@ -18,9 +18,10 @@ A budget file states, in TOML, what a scene does not say of its measurement::
     coverage_factor = 2.0
 
 Names are those of :data:`KNOWN`, which say themselves what they do, or any name where ``acts`` is
-``"offset"`` (mm are added to the measurand) or ``"scale"`` (the measurand is multiplied by one plus
-it).  The part's temperature and expansion and the projector's gamma have a ``value``; all others
-are errors about what was corrected for, whose estimate is zero.
+``"offset"`` (mm are added to a measurand in mm) or ``"scale"`` (what is measured is multiplied by
+one plus it: of a deviation, the size before the nominal one is taken from it).  The part's
+temperature and expansion and the projector's gamma have a ``value``; all others are errors about
+what was corrected for, whose estimate is zero.
 
 *Distributions* are those of JCGM 101:2008, 6.4: ``normal`` and ``t`` by a standard uncertainty,
 ``uniform`` and ``triangular`` by a half-width ``a`` (a / sqrt 3 and a / sqrt 6), or any of them by

@@ -59,8 +59,8 @@ class Measurement:
     Raises
     ------
     InputError
-        For a scene with focus settings or a calibration model, and a quantity that is not one of a
-        feature of the scene.
+        For a scene with focus settings or a calibration model, a quantity that is not one of a
+        feature of the scene, and an offset, which is in mm, of what is not.
     """
 
     def __init__(
@@ -81,6 +81,11 @@ class Measurement:
         self.measurands = [measurand_of(one, scene) for one in measurands]
         self._estimates = {one.name: one.value for one in inputs if one.scalar}
         self._acts = {one.name: one.acts for one in inputs if one.acts is not None}
+        for name in (name for name, acts in self._acts.items() if acts == "offset"):
+            for one in self.measurands:
+                if one.unit != "mm":
+                    got = f"{one.text} in {one.unit or '1'}: acts = scale?"
+                    raise InputError(f"input {name}", "measurands in mm of an offset in mm", got)
         self._transport = lights.traced(scene, on_progress=on_progress)[0]
         self._truth = truth = lights.truth(scene)
         with lighting(scene):
@@ -168,15 +173,15 @@ class Measurement:
     def _corrected(self, one: Measurand, scores: Sequence[Any], values: Mapping[str, Any]) -> float:
         """Return a measurand with what temperature, certificate and corrections make of it."""
         value, size = one.signed(scores)
+        value += size  # what was measured: of a deviation, what the nominal size is taken from
         if one.unit == "mm":
             # The part has its size of the estimated temperature and is brought to the reference by
             # the one that is drawn.
-            grown = self._growth(values) / self._growth(self._estimates)
-            value = (value + size) / grown - size
-            value -= values.get(CERTIFICATE, 0.0) if one.of_nominal else 0.0
+            value /= self._growth(values) / self._growth(self._estimates)
+            size += values.get(CERTIFICATE, 0.0) if one.of_nominal else 0.0
         for name, acts in self._acts.items():
             value = value + values[name] if acts == "offset" else value * (1.0 + values[name])
-        return abs(value) if one.magnitude else value
+        return abs(value - size) if one.magnitude else value - size
 
     def _growth(self, values: Mapping[str, Any]) -> float:
         """Return length over that at the reference temperature."""

@@ -168,7 +168,8 @@ class MeasurandBudget:
             f"{100.0 * self.coverage:g} % interval [{low}, {high}]{unit}"
         )
 
-    def _of_size(self, number: float) -> str:
+    def of_size(self, number: float) -> str:
+        """Return a difference in the measurand's unit, as it is shown."""
         return length(number) if self.unit == "mm" else f"{number:.3g} {self.unit}".strip()
 
     def notes(self) -> list[str]:
@@ -176,7 +177,7 @@ class MeasurandBudget:
         n = len(self.draws)
         places = _places(self.u)
         found = [
-            f"bias {self._of_size(self.bias)} (true value {self.true:.{places}f}), "
+            f"bias {self.of_size(self.bias)} (true value {self.true:.{places}f}), "
             "not corrected and not in u",
             f"sum of squares {100.0 * self.closure:.1f} % of all at once "
             f"(standard error {100.0 * self.closure_error:.1f} %)",

@@ -40,7 +40,6 @@ from slbench.bench.budget.inputs import (
 from slbench.bench.budget.measurement import CALIBRATION, NOISE, PATTERN, VIBRATION, Measurement
 from slbench.bench.budget.result import Contribution, MeasurandBudget, UncertaintyBudget
 from slbench.core.errors import InputError, warn_user
-from slbench.core.show.display import length
 from slbench.core.validation import types
 from slbench.core.validation.values import checked
 from slbench.detector.emva1288 import Detector
@@ -232,14 +231,14 @@ def _question(scene: Scene, made: MeasurandBudget) -> None:
         ratio = abs(made.bias) / made.u if made.u > 0.0 else math.inf
         warn_user(
             where,
-            f"bias {length(made.bias)}, {ratio:.2g} times the standard uncertainty: "
+            f"bias {made.of_size(made.bias)}, {ratio:.2g} times the standard uncertainty: "
             "correct the result, or state what holds it",
         )
     if made.sampling > _SEEN * made.u:
         warn_user(
             where,
-            f"the light's samples move it by {length(made.sampling)}, "
-            f"u is {length(made.u)}: more of them (render.samples)",
+            f"the light's samples move it by {made.of_size(made.sampling)}, "
+            f"u is {made.of_size(made.u)}: more of them (render.samples)",
         )
     if made.missed > _MISSED * len(made.draws):
         share = 100.0 * made.missed / len(made.draws)

@@ -48,6 +48,8 @@ Progress = Callable[[str, float], None]
 
 #: Pixels that a face needs to be the plane of a scene.
 _LEAST = 200
+#: Name of the term that steps and stars give.
+_RESOLUTION = "spatial resolution"
 #: What is bent by a larger share of its size is hardly a plane.
 _NOT_FLAT = 0.02
 
@@ -116,11 +118,11 @@ def scene_terms(
     stars: list[Star] = []
     for k, item in enumerate(scene.objects):
         seen = mean[(truth.object_id == k) & (counted > 0)]
-        more = _resolution(item.artefact, item.pose.to_local(seen))
+        more = _resolution(item.artefact, item.pose.to_local(seen), missing)
         edges += more[0]
         stars += more[1]
-    if not edges and not stars:
-        missing["spatial resolution"] = "neither a step nor a star in the scene"
+    if not edges and not stars and not any(name.startswith(_RESOLUTION) for name in missing):
+        missing[_RESOLUTION] = "neither a step nor a star in the scene"
     return Terms(
         name=scene.name,
         repeats=repeats,
@@ -173,16 +175,16 @@ def cloud_terms(
     if not clouds:
         raise InputError(name, "at least one cloud", "none")
     missing: dict[str, str] = {}
-    planes = [cloud.chosen(on_plane(cloud.points)) for cloud in clouds]
+    on = [on_plane(cloud.points) for cloud in clouds]
     points = None
     if len(clouds) < 2:
         missing["point precision"] = "two repeats or more"
     elif any(one.pixels is None or one.shape != clouds[0].shape for one in clouds):
         missing["point precision"] = "clouds that are maps of one camera"
     else:
-        stack = np.array([_image(one) for one in planes])
+        stack = np.array([_image(c.chosen(own)) for c, own in zip(clouds, on, strict=True)])
         points = _or_why(missing, "point precision", lambda: point_precision(stack))
-    flat = planarity([one.points for one in planes], patch_mm)
+    flat = planarity([one.points for one in clouds], patch_mm, on)
     extent = float(np.ptp(flat.centres, axis=0).max())
     if flat.range_mm > _NOT_FLAT * extent:
         bent = f"bent by {length(flat.range_mm)} over {length(extent)}: no plane?"
@@ -192,7 +194,7 @@ def cloud_terms(
     stars: list[Star] = []
     if artefact is None:
         unknown = "what is true is not known: --artefact"
-        missing |= {"dimension trueness error": unknown, "spatial resolution": unknown}
+        missing |= {"dimension trueness error": unknown, _RESOLUTION: unknown}
     else:
         motion = score_against_part(clouds[0], artefact).motion
         assert motion is not None  # it was placed
@@ -200,9 +202,9 @@ def cloud_terms(
         dimension = _or_why(
             missing, "dimension trueness error", lambda: _of_lengths(artefact, local)
         )
-        edges, stars = _resolution(artefact, np.concatenate(local))
-        if not edges and not stars:
-            missing["spatial resolution"] = f"{artefact.name} has neither a step nor spokes"
+        edges, stars = _resolution(artefact, np.concatenate(local), missing)
+        if not edges and not stars and not any(name.startswith(_RESOLUTION) for name in missing):
+            missing[_RESOLUTION] = f"{artefact.name} has neither a step nor spokes"
     return Terms(
         name=name,
         repeats=len(clouds),
@@ -267,14 +269,21 @@ def _heights(artefact: Artefact, points: Array) -> list[tuple[float, float]]:
     ]
 
 
-def _resolution(artefact: Artefact, local: Array) -> tuple[list[Edge], list[Star]]:
-    """Return the transfer functions that points (n, 3) in an artefact's frame give."""
-    stars = []
+def _resolution(
+    artefact: Artefact, local: Array, missing: dict[str, str]
+) -> tuple[list[Edge], list[Star]]:
+    """Return the transfer functions that points (n, 3) in an artefact's frame give.
+
+    Why a star has none is added to what is missing.
+    """
+    stars: list[Star] = []
     if artefact.kind == "siemens_star":
         size = artefact.parameters
         radii = size["inner_radius_mm"], size["outer_radius_mm"]
         named = (size["spokes"], size["height_mm"], radii, artefact.name)
-        stars.append(star_transfer(local, *named))
+        name = f"{_RESOLUTION}, {artefact.name}"
+        star = _or_why(missing, name, lambda: star_transfer(local, *named))
+        stars = [] if star is None else [star]
     return list(_edges(artefact, local)), stars
 
 

@@ -12,9 +12,9 @@ states no formula; these are ours:
   of chi^2_{1/2}(R - 1) / (R - 1), which is taken out.
 - *Local planarity precision*: of each square patch, the standard deviation of its points about a
   plane of its own, root mean square over repeats; of these the median.
-- *Global planarity trueness error*: the mean of each patch over its points and over repeats, and of
-  these means the range about one plane through all, which noise hardly reaches; and their RMS, with
-  the noise of a mean taken out.
+- *Global planarity trueness error*: the height of each patch's plane at its centre, the mean over
+  repeats, and of these means the range about one plane through all, which noise hardly reaches; and
+  their RMS, with the noise of a mean taken out.
 """
 
 from __future__ import annotations
@@ -130,7 +130,11 @@ def _median(values: Array) -> Measured:
     return Measured(float(np.median(ordered)), float(low), float(high))
 
 
-def planarity(clouds: Sequence[Array], patch_mm: float | None = None) -> Planarity:
+def planarity(
+    clouds: Sequence[Array],
+    patch_mm: float | None = None,
+    on: Sequence[NDArray[np.bool_]] | None = None,
+) -> Planarity:
     """Return local and global planarity of repeated measurements of one plane.
 
     Parameters
@@ -139,13 +143,16 @@ def planarity(clouds: Sequence[Array], patch_mm: float | None = None) -> Planari
         Points of the plane, repeat by repeat, mm; all in one frame.
     patch_mm : float, optional
         Side of a patch; a twelfth of the longer side of the plane by default.
+    on : sequence of (n,) bool, optional
+        Which points lie on the plane, by :func:`on_plane` by default.  All others are outliers.
 
     Raises
     ------
     InputError
         If fewer than four patches have 20 points.
     """
-    kept = [one[on_plane(one)] for one in clouds]
+    on = [on_plane(one) for one in clouds] if on is None else on
+    kept = [one[mask] for one, mask in zip(clouds, on, strict=True)]
     outliers = sum(map(len, clouds)) - sum(map(len, kept))
     middle, axes = _frame(np.concatenate(kept))
     flat = [(one - middle) @ axes for one in kept]
@@ -227,10 +234,12 @@ def _patches(flat: Array, origin: Array, side: float, count: NDArray[np.int_]) -
 def _plane(points: Array, centre: Array) -> tuple[float, float, float]:
     """Return height at a centre, roughness and the height's standard error, of points (n, 3).
 
-    The height is that of the points' mean: over whole patches it is the mean of the surface.
+    The height is that of the fitted plane at the centre, which over a whole patch is the mean of
+    its points; of a patch that is half there it is less certain than they are.
     """
     design = np.column_stack((np.ones(len(points)), points[:, :2] - centre))
     found, *_ = np.linalg.lstsq(design, points[:, 2], rcond=None)
     residuals = points[:, 2] - design @ found
     s = float(np.sqrt(np.sum(residuals**2) / (len(points) - 3)))
-    return float(found[0]), s, s / float(np.sqrt(len(points)))
+    at_centre = np.linalg.pinv(design.T @ design, hermitian=True)[0, 0]
+    return float(found[0]), s, s * float(np.sqrt(at_centre))

@@ -123,6 +123,43 @@ def test_views_are_registered_by_poses_and_by_spheres(tmp_path):
     assert "CMV.MV" in json.dumps(result.to_dict())
 
 
+def two_views(balls_of):
+    """Return two views of a bar, turned by 15 degrees, a list of clouds; and their poses."""
+    poses = [
+        (Rotation.from_euler("zx", (15.0 * k, 10.0 * k), degrees=True).as_matrix(), [4.0 * k, 0, 2])
+        for k in (0, 1)
+    ]
+    return [np.concatenate(balls_of(k)) @ t.T + s for k, (t, s) in enumerate(poses)], poses
+
+
+def test_views_by_spheres_are_counted_and_put_together_ball_by_ball(tmp_path):
+    """One ball is 20 um larger, and each view has most points on another ball, so that they are
+    found in another order: noise of 2 um leaves 0.2 um in a diameter."""
+    rng = np.random.default_rng(6)
+
+    def balls(k):
+        counts = (1800, 500) if k else (500, 1800)
+        return [
+            cap(rng, np.array([x, 0.0, 0.0]), r, count)
+            for x, r, count in zip((-20.0, 20.0), (5.0, 5.01), counts, strict=True)
+        ]
+
+    clouds, _ = two_views(balls)
+    names = {f"view{k}.xyz": cloud for k, cloud in enumerate(clouds)}
+    place = {"standard": "ball_bar", "clouds": list(names), "registered_by": "spheres"}
+    folder = write(tmp_path / "views", names, standards={"ball_bar": BAR}, place=[place])
+    standard = read_specification(folder / "places.toml").standards["ball_bar"]
+    firsts = [found(Points(cloud), standard)[0].points.mean(axis=0)[0] for cloud in clouds]
+    assert np.sign(firsts[0]) != np.sign(firsts[1])  # the orders are not the same
+    result = accept_folder(folder)
+    (measured,) = result.places
+    radii = sorted(float(fit.values[3]) for fit in measured.fits)
+    assert radii == pytest.approx([5.0, 5.01], abs=0.001)
+    assert (result.views, measured.views) == (2, 2)
+    assert "CMV.MV" in result["length"].test.label(result.views)
+    assert claims_of(result)["views"] == 2
+
+
 def test_captures_are_decoded_by_their_rig_and_measure_as_their_clouds_do(tmp_path):
     """A scan's frames and its cloud have the same points; the caps differ a little, as a cloud does
     not know its devices.  The noise of the frames is 3 um in a spacing: both within four of it."""

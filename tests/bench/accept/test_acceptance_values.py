@@ -348,3 +348,46 @@ def test_every_test_has_a_symbol() -> None:
     for test in TESTS.values():
         assert test.label(1)
         assert "CMV.MV" in test.label(3) or not test.iso
+
+
+def test_an_acceptance_of_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="places: expected at least one, got none"):
+        assembled("nothing", [])
+    with pytest.raises(InputError, match="places: expected at least one, got none"):
+        accept(load_scene("acceptance-macro", preview=True), [])
+
+
+@pytest.mark.parametrize("name", ["acceptance-macro", "acceptance-micro"])
+@pytest.mark.parametrize("preview", [False, True])
+def test_as_many_places_are_planned_as_the_guideline_asks_for(name: str, preview: bool) -> None:
+    kinds = [place.standard.kind for place in planned(load_scene(name, preview=preview))]
+    assert {kind: kinds.count(kind) for kind in kinds} == {"sphere": 10, "ball_bar": 7, "plane": 6}
+
+
+def test_the_table_tells_of_too_few_places_where_there_are_too_few_alone() -> None:
+    """And shows no count that is not its own."""
+    rng = np.random.default_rng(1)
+    ball = Points(cap(rng, (0.0, 0.0, 0.0), 5.0)[0])
+    few = [measured_place(Place(f"ball {k}", SPHERE), [[ball]]) for k in range(2)]
+    enough = [measured_place(Place(f"ball {k}", SPHERE), [[ball]]) for k in range(10)]
+    limits = {"probing_size": Limit(50.0)}
+    notes = [assembled("ball", part, limits=limits).table().note for part in (few, enough)]
+    assert "fewer places" in notes[0]
+    assert "fewer places" not in notes[1]
+    assert not any("2 of 7" in note for note in notes)
+
+
+def test_no_more_is_set_aside_than_the_guideline_allows() -> None:
+    """0.3 % of 300 points are none, of 1,000 three; of 57 points 5 % are two, not three."""
+    assert trimmed_range(np.array([5.0, *np.zeros(299)])) == 5.0
+    assert trimmed_range(np.array([5.0, 5.0, 5.0, *np.zeros(997)])) == 0.0
+    assert trimmed_range(np.array([5.0, 5.0, 5.0, 4.0, *np.zeros(996)])) == 4.0
+    assert thinnest(np.array([5.0, 5.0, *np.zeros(55)]), 0.95) == 0.0
+    assert thinnest(np.array([5.0, 5.0, 4.0, *np.zeros(54)]), 0.95) == 4.0
+    # As many points as make 0.95 n whole: n / 20 are left out, whatever the rounding.
+    for n in range(20, 2001, 20):
+        many = np.zeros(n)
+        many[: n // 20] = 5.0
+        assert thinnest(many, 0.95) == 0.0, n
+        many[n // 20] = 4.0
+        assert thinnest(many, 0.95) == 4.0, n

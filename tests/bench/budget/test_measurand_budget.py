@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import re
 from dataclasses import replace
 
 import cv2
@@ -15,7 +16,8 @@ import slbench as sl
 from slbench.bench.budget.draws import coverage_interval
 from slbench.bench.budget.inputs import stated
 from slbench.bench.budget.measurement import Measurement
-from slbench.bench.budget.uncertainty import inputs_of, uncertainty_budget
+from slbench.bench.budget.uncertainty import _question, inputs_of, uncertainty_budget
+from slbench.bench.claims.quantities import features_of
 from slbench.core.errors import InputError, InputWarning
 from slbench.core.io import read_json
 from slbench.core.random import generator
@@ -128,7 +130,7 @@ class TestMeasurement:
                 found |= {f"{kind}[{one.name}].{name}": getattr(one, name) for name in fields}
         found = {name: value for name, value in found.items() if np.isfinite(value)}
         assert {name.partition("[")[0] for name in found} >= {"cylinder", "cone", "dimension"}
-        given = stated(STATED, "test")
+        given = stated({"inputs": [i for i in STATED["inputs"] if i["name"] != "fixture"]}, "test")
         model = Measurement(own, list(found), inputs_of(own, given), lights)
         # Of some 170 points of a wall, the rounding of a scan's frames takes one or two to the
         # other side of what is fitted: a micrometre, where errors are some tens.
@@ -195,6 +197,9 @@ class TestClosedForms:
         # A t of six degrees of freedom, whose excess kurtosis is 3: sqrt(5 / 2) of the error.
         expected = budget[STEP].estimate * 1e-4 * math.sqrt(6 / 4)
         assert drift.u == pytest.approx(expected, rel=1.6 * ALONE)
+        # A scale is of what is measured, 5 mm, whether or not 5 mm are taken from it afterwards.
+        off = rows(budget, "step[5].deviation_mm")["drift"]
+        assert (off.sensitivity, off.u) == pytest.approx((drift.sensitivity, drift.u))
 
     def test_a_magnitude_is_that_of_the_deviation(self, budget):
         signed, magnitude = (budget[f"step[5].{n}_mm"].draws for n in ("deviation", "error"))
@@ -313,6 +318,16 @@ class TestWarnings:
         assert abs(found.bias) > 5 * found.u
         assert "not corrected" in " ".join(found.notes())
 
+    def test_a_bias_is_in_the_measurands_own_unit(self, scene, budget):
+        angle = replace(budget[STEP], name="angle[a].measured_deg", unit="deg", true=0.0)
+        with pytest.warns(InputWarning, match=r"bias \d[.\d]* deg, "):
+            _question(scene, replace(angle, draws=2.0 + 1e-3 * np.arange(100.0)))
+        with pytest.warns(InputWarning, match=r"move it by 0.5 deg, u is [.\d]+ deg"):
+            _question(
+                scene,
+                replace(angle, true=2.0495, draws=2.0 + 1e-3 * np.arange(100.0), sampling=0.5),
+            )
+
     def test_samples_that_are_seen_are_questioned(self, tmp_path):
         few = sl.load_scene(write_scene(tmp_path, render={"samples": 2}))
         quiet = replace(
@@ -352,6 +367,16 @@ class TestInput:
         done = run_cli("budget", write_scene(tmp_path), *asked)
         check_refused(done, "budget.toml", words)
         assert not (tmp_path / "out").exists()
+
+    def test_millimetres_are_no_offset_of_an_angle(self, tmp_path):
+        plate = {"artefact": "feature-plate", "material": "matt-white-spray"}
+        own = sl.load_scene(write_scene(tmp_path, objects=[plate]))
+        name = next(f.label for f in features_of(own) if f.kind == "cone")
+        angle = f"cone[{name}].angle_deg"
+        given = stated(self.one(name="fixture", acts="offset"), "test")
+        words = f"input fixture: expected measurands in mm.* got {re.escape(angle)} in deg"
+        with pytest.raises(InputError, match=words):
+            uncertainty_budget(own, [angle], given=given, draws=100)
 
     def test_an_input_twice(self):
         twice = {"inputs": self.one()["inputs"] * 2}

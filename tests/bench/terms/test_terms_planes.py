@@ -5,7 +5,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from slbench.bench.terms.measure import scale
-from slbench.bench.terms.planes import planarity, point_deviations, point_precision
+from slbench.bench.terms.planes import (
+    _plane,
+    planarity,
+    point_deviations,
+    point_precision,
+)
 from slbench.core.errors import InputError
 
 SIGMA = 0.02
@@ -104,6 +109,21 @@ class TestPlanarity:
         found = planarity([points], 5.0)
         assert found.outliers == len(points[::50])
         assert found.local.value == pytest.approx(SIGMA, rel=0.02)
+
+    def test_the_height_of_half_a_patch_is_as_uncertain_as_it_scatters(self):
+        """Of 200 points on one half of a patch its middle is at their end: four times the variance
+        of their mean, (1 + 3) / n.  Of 400 draws a deviation is known to 3.5 %: four of these."""
+        rng = np.random.default_rng(8)
+        flat = np.column_stack((rng.uniform(0.0, 1.0, 200), rng.uniform(-1.0, 1.0, 200)))
+        centre, heights, errors = np.zeros(2), [], []
+        for _ in range(400):
+            points = np.column_stack((flat, 7.0 + SIGMA * rng.standard_normal(200)))
+            height, _, error = _plane(points, centre)
+            heights.append(height)
+            errors.append(error)
+        assert np.mean(heights) == pytest.approx(7.0, abs=5 * SIGMA / np.sqrt(200 * 100))
+        assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(np.std(heights), rel=0.14)
+        assert np.std(heights) > 1.7 * SIGMA / np.sqrt(200)
 
     def test_too_few_points(self):
         with pytest.raises(InputError, match="4 patches of 20 points or more"):

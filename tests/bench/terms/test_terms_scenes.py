@@ -80,6 +80,16 @@ class TestScene:
         assert found[1] / found[0] == pytest.approx(1.5, rel=0.2)
         assert 1.5 < found[0] / (2 * 0.24) < 4.0  # pixels of 0.24 mm a period
 
+    def test_a_sparse_star_loses_its_own_term_alone(self):
+        """A star of 4 mm has no 40 pixels on any ring; the plate behind it has thousands."""
+        shape = {"spokes": 12, "height_mm": 0.3, "inner_radius_mm": 1.0, "outer_radius_mm": 2.0}
+        star = sl.scene.SceneObject(build_artefact("siemens_star", shape))
+        back = sl.scene.SceneObject(sl.load_artefact("plane"), Pose(np.eye(3), [0.0, 0.0, -10.0]))
+        found = scene_terms(scene_of([star, back], divisor=6), repeats=2)
+        assert found.stars == ()
+        assert "40 points on a ring" in found.missing[f"spatial resolution, {star.artefact.name}"]
+        assert None not in (found.points, found.planarity, found.dimension)
+
     def test_steps_have_edges(self, lights):
         found = scene_terms(small("step-block"), repeats=2, lights=lights)
         names = [edge.name for edge in found.edges]
@@ -113,6 +123,14 @@ def test_heights_do_not_lean_with_the_part():
 
 
 class TestClouds:
+    def test_what_is_off_the_plane_is_counted_once(self):
+        """5,000 points of a plane and 50 wrong orders, in two repeats."""
+        rng = np.random.default_rng(3)
+        flat = np.column_stack((rng.uniform(-20, 20, (5000, 2)), 0.02 * rng.standard_normal(5000)))
+        flat[:50, 2] += 3.0
+        found = cloud_terms([MeasuredCloud(flat), MeasuredCloud(flat)])
+        assert found.planarity.outliers == 100
+
     def test_maps_are_as_good_as_the_scene(self, scene, lights, terms):
         clouds = []
         for seed in range(4):
