@@ -258,7 +258,13 @@ def load_claims(
         (:meth:`slbench.bench.claims.pools.Pools.check`).
     """
     path, made = Path(path), read_changes(changes)
-    file = validated(_File, read_toml(path), path.name, separator=": ")
+    values = read_toml(path)
+    if "held" in values and "claim" not in values:
+        # What an acceptance holds an instrument to: its tests are measured by another command.
+        own = values.get("name", "SCENE|FOLDER")
+        got = f"what accept wrote: slbench accept {own} --against {path}"
+        raise InputError(path.name, "[[claim]] tables", got)
+    file = validated(_File, values, path.name, separator=": ")
     load_modules(file.modules, path.parent, allow_modules, f"{path.name}: modules")
     tables = file.claim
     claims: list[Claim] = []
