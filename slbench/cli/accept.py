@@ -44,7 +44,7 @@ def accept(
         list[str] | None,
         typer.Option(
             metavar="KIND",
-            help="Measure sphere, ball_bar or plane only; give each.  [default: all]",
+            help="Measure sphere, ball_bar or plane only; give each.  [default: all; those held]",
         ),
     ] = None,
     mpe_um: Annotated[
@@ -94,7 +94,7 @@ def accept(
 
     from slbench.bench.accept.acceptance import accept as run
     from slbench.bench.accept.acceptance import planned
-    from slbench.bench.accept.definitions import STANDARDS
+    from slbench.bench.accept.definitions import STANDARDS, TESTS
     from slbench.bench.accept.held import (
         ACCEPTANCE_FOLDER,
         held_to,
@@ -145,7 +145,8 @@ def accept(
         )
         loaded = loaded if spp is None else replace(loaded, samples=spp)
         name = loaded.name
-        kinds = tuple(kind for kind in STANDARDS if standard is None or kind in standard)
+        wanted = standard or {TESTS[name].standard for name in stated.held} or STANDARDS
+        kinds = tuple(kind for kind in STANDARDS if kind in wanted)
         places = planned(loaded, stated.standards, kinds=kinds, counts=stated.counts, views=views)
     if stated.held and stated.views not in (None, views):
         raise InputError("--against", f"{stated.views} views of each place, as it was held", views)

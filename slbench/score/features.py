@@ -100,9 +100,8 @@ def fit_features(
         near = points_near(sphere, local)
         if rig is not None:
             outward = local[near] - np.array(sphere.centre_mm)
-            normal = product(outward, pose.rotation.T)
-            for device in (rig.camera, rig.projector):
-                near, normal = facing(device, points, near, normal, MAX_INCIDENCE)
+            normals = product(outward, pose.rotation.T)
+            near = near[facing(rig, points[near], normals, MAX_INCIDENCE)]
         if len(near) >= MIN_POINTS:
             balls.append(_Ball.fit(sphere, local[near], labels[near]))
     found += [ball.score(artefact.name) for ball in balls]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.rig import Device
+from slbench.rig import Rig
 
 Array = NDArray[np.float64]
 
@@ -15,20 +15,28 @@ SET_ASIDE = 0.003
 MIN_POINTS = 20
 
 
-def facing(
-    device: Device,
-    points: Array,
-    chosen: NDArray[np.intp],
-    normal: Array,
-    furthest: float,
-) -> tuple[NDArray[np.intp], Array]:
-    """Keep the chosen points whose normal turns no further than an angle from a device."""
-    toward = device.chief_origin(points[chosen]) - points[chosen]
-    cosine = np.sum(toward * normal, axis=-1) / (
-        np.linalg.norm(toward, axis=-1) * np.linalg.norm(normal, axis=-1)
-    )
-    kept = cosine > np.cos(furthest)
-    return chosen[kept], normal[kept]
+def facing(rig: Rig, points: Array, normals: Array, furthest: float) -> NDArray[np.bool_]:
+    """Return which normals turn no further than an angle from camera and projector.
+
+    Parameters
+    ----------
+    rig : Rig
+        One camera and one projector.
+    points, normals : (N, 3) float
+        In its world; normals of any length.
+    furthest : float
+        rad.
+
+    Returns
+    -------
+    (N,) bool
+    """
+    kept = np.ones(len(points), bool)
+    for device in (rig.camera, rig.projector):
+        toward = device.chief_origin(points) - points
+        lengths = np.linalg.norm(toward, axis=-1) * np.linalg.norm(normals, axis=-1)
+        kept &= np.sum(toward * normals, axis=-1) > np.cos(furthest) * lengths
+    return kept
 
 
 def spread(residuals: Array, fitted: int) -> float:
@@ -36,12 +44,17 @@ def spread(residuals: Array, fitted: int) -> float:
     return float(np.sqrt(np.sum(residuals**2) / max(len(residuals) - fitted, 1)))
 
 
-def furthest_left_out(residuals: Array) -> NDArray[np.intp]:
-    """Return the indices of residuals but for the 0.3 % furthest from zero."""
-    kept = max(residuals.size - int(np.ceil(SET_ASIDE * residuals.size)), 1)
+def furthest_left_out(residuals: Array, aside: float = SET_ASIDE) -> NDArray[np.intp]:
+    """Return the indices of residuals but for a share furthest from zero: no more than 0.3 %."""
+    kept = residuals.size - most_aside(residuals.size, aside)
     return np.argpartition(np.abs(residuals), kept - 1)[:kept]
 
 
-def trimmed_range(residuals: Array) -> float:
-    """Range of the residuals after the 0.3 % furthest from zero have been set aside."""
-    return float(np.ptp(residuals[furthest_left_out(residuals)]))
+def trimmed_range(residuals: Array, aside: float = SET_ASIDE) -> float:
+    """Range of the residuals after a share, furthest from zero, was set aside: 0.3 % at most."""
+    return float(np.ptp(residuals[furthest_left_out(residuals, aside)]))
+
+
+def most_aside(count: int, share: float) -> int:
+    """Return how many of so many points are no more than a share of them."""
+    return int(share * count + 1e-9)  # a whole number that rounding made a little less is whole

@@ -91,9 +91,8 @@ def _measured(
     """Return a feature with its fit, or None where too few points tell it."""
     near = surface.belonging(marked.local)
     if rig is not None and surface.kind not in ("plane", "circle"):
-        normal = product(surface.normals(marked.local[near]), pose.rotation.T)
-        for device in (rig.camera, rig.projector):
-            near, normal = facing(device, marked.points, near, normal, MAX_WALL_INCIDENCE)
+        normals = product(surface.normals(marked.local[near]), pose.rotation.T)
+        near = near[facing(rig, marked.points[near], normals, MAX_WALL_INCIDENCE)]
     if len(near) < MIN_POINTS:
         return None
     points, lines = marked.local[near], None if marked.lines is None else marked.lines[near]

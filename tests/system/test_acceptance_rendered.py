@@ -231,6 +231,15 @@ def test_the_covariance_beside_a_rig_gives_the_interval_of_values(tmp_path):
     done = run_cli(*words, "--standard", "sphere", "--out", tmp_path / "out", "--json")
     (test,) = (t for t in json.loads(done.out)["tests"] if t["test"] == "probing_size")
     assert test["places"][0]["u_calibration_mm"] == pytest.approx(given.u_calibration_mm)
+    # Held to it, it measures what was accepted: one sphere in one place.
+    words = (*words[:5], "--against", tmp_path / "out" / "claims.toml", "--out", tmp_path / "again")
+    held = json.loads(run_cli(*words, "--json").out)
+    assert {one["test"] for one in held["tests"]} == {
+        "probing_form",
+        "probing_dispersion",
+        "probing_size",
+    }
+    assert (held["traces"], held["worse"], held["unmeasured"]) == (1, [], [])
 
 
 def test_progress_is_told_and_light_is_traced_once_a_place():

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from slbench.bench.accept.definitions import STANDARDS, StandardKind
 from slbench.bench.accept.evaluate import Measured, Place, PlaceError
 from slbench.bench.accept.plan import plan, with_views
+from slbench.bench.accept.registering import Register
 from slbench.bench.accept.signatures import Explanation, alike, calibration_draws, explain
 from slbench.bench.accept.standards import Standard, usual_standard
 from slbench.bench.accept.verdict import (
@@ -27,14 +28,13 @@ from slbench.core.random import tagged_seed
 from slbench.core.show.display import block
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
+from slbench.core.units import UM
 from slbench.rig import Rig
 from slbench.rig.parameters import ParameterCovariance
 from slbench.scene.model import Scene
 from slbench.simulate.lights import Lights
 
 Progress = Callable[[str, float], None]
-Register = Literal["poses", "spheres"]
-_UM = 1e3
 #: Share of a size's variance that more samples would take away, beyond which it is said.
 _MOST_BY_SAMPLES = 0.5
 
@@ -42,11 +42,13 @@ _MOST_BY_SAMPLES = 0.5
 UNMEASURED = "held, and not measured"
 
 NOTE = (
-    "u: standard uncertainty of the test (certificate, temperature, fit, sampling). Pass and fail "
-    "by ISO 14253-1 with 95 %: a guard band of 1.645 u, a signed error within both limits; fewer "
-    "places than VDI/VDE 2634-2 asks for (2 of 7) pass nothing. By the definitions of VDI/VDE 2634 "
-    "parts 2 and 3 and ISO 10360-13:2021; no accredited procedure."
+    "u: standard uncertainty of the test (certificate, expansion, temperature, fit, sampling). "
+    "Pass and fail by ISO 14253-1 with 95 %: a guard band of 1.645 u, a signed error within both "
+    "limits. By the definitions of VDI/VDE 2634 parts 2 and 3 and ISO 10360-13:2021; no accredited "
+    "procedure."
 )
+#: Beside it where it is so.
+TOO_FEW = "In fewer places than VDI/VDE 2634-2 asks for nothing passes."
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,7 +112,7 @@ class Acceptance:
 
     def __repr__(self) -> str:
         lines = [
-            f"{one.test.words}: {_UM * one.worst.value.error_mm:.3g} µm, {one.outcome}"
+            f"{one.test.words}: {UM * one.worst.value.error_mm:.3g} µm, {one.outcome}"
             for one in self.tests
         ]
         return block(f"Acceptance of {self.name}: {self.outcome}", *lines)
@@ -120,20 +122,24 @@ class Acceptance:
         rows = []
         for one in self.tests:
             worst = one.worst
-            limit = None if worst.limit_mm is None else _UM * worst.limit_mm
+            limit = None if worst.limit_mm is None else UM * worst.limit_mm
             rows.append(
                 (
                     f"{one.test.symbol} {one.test.words}".strip(),
                     one.places,
                     worst.value.place,
-                    _UM * worst.value.error_mm,
-                    _UM * worst.value.u_test_mm,
+                    UM * worst.value.error_mm,
+                    UM * worst.value.u_test_mm,
                     limit,
                     one.outcome,
                 )
             )
         columns = ("test", "places", "worst", "error / µm", "u / µm", "limit / µm", "verdict")
-        return Table(f"Acceptance of {self.name}", columns, tuple(rows), NOTE)
+        return Table(f"Acceptance of {self.name}", columns, tuple(rows), self.note())
+
+    def note(self) -> str:
+        """Say what the numbers are, and where there are too few places."""
+        return f"{NOTE} {TOO_FEW}" if any(one.too_few for one in self.tests) else NOTE
 
     def why(self) -> str:
         """Say which parameter of the rig explains the errors best; empty where none is asked."""
@@ -170,7 +176,7 @@ class Acceptance:
             "explanations": [vars(one) for one in self.explanations],
             "worse": [vars(one) for one in self.worse],
             "unmeasured": list(self.unmeasured),
-            "note": NOTE,
+            "note": self.note(),
         }
 
 
@@ -343,7 +349,7 @@ def _samples_doubt(found: Acceptance) -> str | None:
         sampling = value.u_mm["sampling"]
         if one.test.signed and sampling**2 > _MOST_BY_SAMPLES * value.u_test_mm**2:
             return (
-                f"sampling makes {_UM * sampling:.3g} of the {_UM * value.u_test_mm:.3g} µm "
+                f"sampling makes {UM * sampling:.3g} of the {UM * value.u_test_mm:.3g} µm "
                 f"uncertainty of {one.test.words}: more samples would change it (--spp)"
             )
     return None
@@ -377,7 +383,14 @@ def assembled(
     traces, seed : int
     parameters : mapping, optional
         For the provenance.
+
+    Raises
+    ------
+    InputError
+        For no places.
     """
+    if not measured:
+        raise InputError("places", "at least one", "none")
     values: list[PlaceError] = []
     for place in measured:
         draws = []
@@ -392,7 +405,7 @@ def assembled(
         name=name,
         tests=tests,
         places=tuple(measured),
-        views=max(len(place.place.poses) for place in measured) or 1,
+        views=max(place.views for place in measured),
         explanations=explanations,
         rig=rig,
         traces=traces,

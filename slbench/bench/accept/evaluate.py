@@ -25,14 +25,13 @@ from slbench.bench.accept.surfaces import (
     fit_plate,
     joined,
     thinnest,
-    trimmed_range,
 )
 from slbench.core.show.display import brief
+from slbench.core.units import UM
 from slbench.rig import Pose
-from slbench.score.residuals import SET_ASIDE
+from slbench.score.residuals import trimmed_range
 
 Array = NDArray[np.float64]
-_UM = 1e-3
 #: Parts of the uncertainty that each measurement has anew.
 _OF_ITS_OWN = ("temperature", "fit", "sampling")
 
@@ -109,10 +108,13 @@ class Measured:
     place : Place
     fits : tuple of Fit
         One a ball, or that of the plate.
+    views : int
+        Registered views that the points are of.
     """
 
     place: Place
     fits: tuple[Fit, ...]
+    views: int = 1
 
     __repr__ = brief
 
@@ -197,7 +199,8 @@ def measured_place(place: Place, views: Sequence[Sequence[Points]]) -> Measured:
     fit: Callable[[Points, str], Fit] = fit_plate if place.standard.kind == "plane" else fit_ball
     parts = [joined(list(one)) for one in zip(*views, strict=True)]
     names = [place.name] if len(parts) == 1 else [f"{place.name}, ball {k + 1}" for k in (0, 1)]
-    return Measured(place, tuple(fit(p, name) for p, name in zip(parts, names, strict=True)))
+    fits = tuple(fit(part, name) for part, name in zip(parts, names, strict=True))
+    return Measured(place, fits, len(views))
 
 
 def pooled(values: Sequence[Sequence[PlaceError]]) -> dict[str, float]:
@@ -211,7 +214,7 @@ def pooled(values: Sequence[Sequence[PlaceError]]) -> dict[str, float]:
 def certified(test: ErrorKind, standard: Standard) -> float:
     """Return the certified value that a test compares with, at the test's temperature, mm."""
     if not test.signed:
-        return standard.form_um * _UM
+        return standard.form_um / UM
     diameter, spacing = standard.diameter_mm or 0.0, standard.spacing_mm or 0.0
     size = {"probing_size": diameter, "sphere_spacing": spacing, "length": spacing + diameter}
     return standard.at_temperature(size[test.name])
@@ -222,13 +225,13 @@ def errors_of(standard: Standard, fits: Sequence[Fit]) -> dict[str, float]:
     if standard.kind == "plane":
         residuals = fits[0].residuals
         return {
-            "flatness": trimmed_range(residuals, SET_ASIDE),
+            "flatness": trimmed_range(residuals),
             "flat_dispersion": thinnest(residuals, DISPERSION_SHARE),
         }
     diameters = [2.0 * float(fit.values[3]) for fit in fits]
     if standard.kind == "sphere":
         return {
-            "probing_form": trimmed_range(fits[0].residuals, SET_ASIDE),
+            "probing_form": trimmed_range(fits[0].residuals),
             "probing_dispersion": thinnest(fits[0].residuals, DISPERSION_SHARE),
             "probing_size": diameters[0] - certified(TESTS["probing_size"], standard),
         }
@@ -276,4 +279,4 @@ def _certificate_mm(test: ErrorKind, standard: Standard) -> float:
         # Half the sum of two diameters, which one laboratory calibrated: taken as one error.
         "length": math.hypot(spacing, diameter),
     }.get(test.name, math.hypot(standard.form_um, standard.form_U_um))
-    return um * _UM / COVERAGE
+    return um / UM / COVERAGE

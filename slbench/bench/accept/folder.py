@@ -22,11 +22,10 @@ from scipy.spatial import cKDTree
 
 from slbench.bench.accept.acceptance import Acceptance, assembled
 from slbench.bench.accept.evaluate import Measured, measured_place
-from slbench.bench.accept.plan import faces
-from slbench.bench.accept.registering import registered
+from slbench.bench.accept.registering import in_one_order, registered
 from slbench.bench.accept.specification import PLACES_FILE, Specification, read_specification
 from slbench.bench.accept.standards import Standard
-from slbench.bench.accept.surfaces import Points, fit_plate
+from slbench.bench.accept.surfaces import Points, fit_plate, lines_of
 from slbench.capture.capture import Capture
 from slbench.cloud.decoded import decode_capture
 from slbench.cloud.files import read_cloud
@@ -37,7 +36,7 @@ from slbench.rig.opencv import read_rig
 from slbench.rig.parameters import covariance_beside
 from slbench.rig.pose import product
 from slbench.score.features import MAX_INCIDENCE, MIN_POINTS, core, fit_sphere
-from slbench.score.residuals import SET_ASIDE
+from slbench.score.residuals import SET_ASIDE, facing
 
 Array = NDArray[np.float64]
 
@@ -104,11 +103,12 @@ def accept_folder(
                     points, axes = _of_capture(path, one.place.standard, rig)
                 else:
                     cloud = read_cloud(path, own.unit)
-                    lines = None if cloud.pixels is None else cloud.pixels[:, 0]
+                    lines = None if cloud.pixels is None else lines_of(cloud.pixels)
                     points = found(Points(cloud.points, None, lines), one.place.standard, rig)
                 views.append(points)
         with located(folder.name):
-            parts = _matched(registered(one.place, views, one.registered_by))
+            views = in_one_order(one.place, views, one.registered_by)
+            parts = registered(one.place, views, one.registered_by)
             measured.append(measured_place(one.place, parts))
         _doubt(folder.name, measured[-1])
         if on_progress:
@@ -145,7 +145,7 @@ def _of_capture(
     if cloud is None:
         raise InputError("rig", "the capture's rig (rig = in places.toml)", "none")
     noise = cloud.sensitivity * cloud.sigma_px[..., None]
-    points = Points(cloud.points, noise, cloud.pixels[:, 0])
+    points = Points(cloud.points, noise, lines_of(cloud.pixels, cloud.axes))
     return found(points, standard, shots.rig), cloud.axes
 
 
@@ -267,10 +267,7 @@ def _cap(points: Array, centre: Array, radius: float, rig: Rig | None) -> NDArra
     own = np.flatnonzero((distance > 0.0) & (distance < _ABOVE * radius))
     normals = outward[own] / distance[own, None]
     if rig is not None:
-        for device in (rig.camera, rig.projector):
-            kept = faces(device, centre + radius * normals, normals)
-            own, normals = own[kept], normals[kept]
-        return own
+        return own[facing(rig, centre + radius * normals, normals, MAX_INCIDENCE)]
     seen = normals[np.abs(distance[own] / radius - 1.0) < _BAND].mean(axis=0)
     seen = seen / np.linalg.norm(seen)
     return own[normals @ seen > np.cos(MAX_INCIDENCE)]
@@ -316,18 +313,3 @@ def _plate(points: Points, standard: Standard) -> Points:
     region = np.flatnonzero(np.all(np.abs(across) < (0.5 - _EDGE) * sides, axis=1))
     far = np.abs(height[region]) > _PLATE_FAR * float(np.hypot(*standard.size_mm))
     return _without(points, region, far)
-
-
-def _matched(views: list[list[Points]]) -> list[list[Points]]:
-    """Return registered views whose balls are in one order: two balls of a bar look alike."""
-    first = views[0]
-    if len(first) < 2:
-        return views
-    middles = [part.points.mean(axis=0) for part in first]
-    found_: list[list[Points]] = [first]
-    for view in views[1:]:
-        own = [part.points.mean(axis=0) for part in view]
-        straight = sum(float(np.linalg.norm(a - b)) for a, b in zip(own, middles, strict=True))
-        crossed = sum(float(np.linalg.norm(a - b)) for a, b in zip(own, middles[::-1], strict=True))
-        found_.append(view if straight <= crossed else view[::-1])
-    return found_

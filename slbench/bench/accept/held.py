@@ -23,6 +23,7 @@ from slbench.bench.accept.verdict import Worse
 from slbench.bench.claims.junit import Case, write_cases
 from slbench.core.io import OutputFolder, write_json, write_table, write_toml
 from slbench.core.show.drawing import write_figure
+from slbench.core.units import UM
 
 ACCEPTANCE_FOLDER = OutputFolder(
     "acceptance", ("acceptance.json", "places.csv", "acceptance.png", "claims.toml")
@@ -30,7 +31,6 @@ ACCEPTANCE_FOLDER = OutputFolder(
 
 #: Differences beyond this many standard uncertainties are no chance, both sides 95 %.
 _WORSE = 1.959964
-_UM = 1e3
 
 
 def held_to(result: Acceptance, held: Mapping[str, tuple[float, float]]) -> Acceptance:
@@ -92,7 +92,7 @@ def claims_of(result: Acceptance) -> dict[str, Any]:
     held = []
     for one in result.tests:
         worst = max(one.judged, key=lambda judged: abs(judged.value.error_mm)).value
-        own = {"worst_um": _UM * worst.error_mm, "u_um": _UM * worst.u_repeat_mm}
+        own = {"worst_um": UM * worst.error_mm, "u_um": UM * worst.u_repeat_mm}
         held.append({"test": one.test.name} | {k: round(v, 6) for k, v in own.items()})
     limits = {one.test.name: one.limit for one in result.tests if one.limit is not None}
     tables = {
@@ -136,11 +136,11 @@ def write_acceptance_junit(result: Acceptance, path: str | Path) -> None:
     for one in result.tests:
         worst = one.worst
         line = (
-            f"{one.outcome}: {one.test.words} {_UM * worst.value.error_mm:+.4g} µm at "
-            f"{worst.value.place}, u {_UM * worst.value.u_test_mm:.3g} µm"
+            f"{one.outcome}: {one.test.words} {UM * worst.value.error_mm:+.4g} µm at "
+            f"{worst.value.place}, u {UM * worst.value.u_test_mm:.3g} µm"
         )
         if worst.limit_mm is not None:
-            line += f", limit {_UM * worst.limit_mm:.4g} µm"
+            line += f", limit {UM * worst.limit_mm:.4g} µm"
         if one.too_few:
             line += f", {one.places} places"
         outcome = "pass" if one.outcome == "no limit" else one.outcome

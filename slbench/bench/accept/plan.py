@@ -22,6 +22,7 @@ from slbench.objects import PlaneFeature
 from slbench.rig import Device, Pose, Rig
 from slbench.rig.pose import product
 from slbench.score.features import MAX_INCIDENCE
+from slbench.score.residuals import facing
 
 Array = NDArray[np.float64]
 
@@ -165,20 +166,10 @@ class _Body:
         if not self.plate:
             middles = np.repeat(world.to_world(self.centres), len(points) // len(self.centres), 0)
             points = middles + self.radius * normals
-        facing = np.ones(len(points), bool)
-        for device in (rig.camera, rig.projector):
-            facing &= faces(device, points, normals)
-        enough = 1.0 if self.plate else _LEAST_SEEN
-        if np.mean(facing) < enough:
+        seen = facing(rig, points, normals, MAX_INCIDENCE)
+        if np.mean(seen) < (1.0 if self.plate else _LEAST_SEEN):
             return False
-        return all(_well_inside(d, points[facing]) for d in (rig.camera, rig.projector))
-
-
-def faces(device: Device, points: Array, normals: Array) -> NDArray[np.bool_]:
-    """Return which points turn no further from a device than a ball is fitted, (N,) bool."""
-    toward = device.chief_origin(points) - points
-    cosine = np.sum(toward * normals, axis=-1) / np.linalg.norm(toward, axis=-1)
-    return np.asarray(cosine > np.cos(MAX_INCIDENCE))
+        return all(_well_inside(d, points[seen]) for d in (rig.camera, rig.projector))
 
 
 def _well_inside(device: Device, points: Array) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +14,42 @@ from slbench.bench.accept.surfaces import Points, fit_ball
 from slbench.core.errors import InputError
 from slbench.rig import Pose
 
+Register = Literal["poses", "spheres"]
+
+
+def in_one_order(
+    place: Place, views: Sequence[Sequence[Points]], register: Register
+) -> list[list[Points]]:
+    """Return the views' balls in the order of the first view: two balls of a bar look alike.
+
+    By the poses of the standard each ball is the nearest one in the first view.  Without them the
+    bar turned by less than a right angle between the views.
+
+    Parameters
+    ----------
+    place, views, register
+        As in :func:`registered`; the views in the instrument's frame.
+    """
+    found = [list(view) for view in views]
+    if len(found[0]) < 2:
+        return found
+    middles = [np.array([part.points.mean(axis=0) for part in view]) for view in found]
+    for k in range(1, len(found)):
+        own, first = middles[k], middles[0]
+        if register == "poses":
+            rotation, shift = _to_first(place.poses[0], place.poses[k])
+            own = own @ rotation.T + shift
+            gaps = [np.linalg.norm(one - first, axis=1).sum() for one in (own, own[::-1])]
+            crossed = gaps[1] < gaps[0]
+        else:
+            crossed = (own[1] - own[0]) @ (first[1] - first[0]) < 0.0
+        if crossed:
+            found[k].reverse()
+    return found
+
 
 def registered(
-    place: Place, views: Sequence[Sequence[Points]], register: str
+    place: Place, views: Sequence[Sequence[Points]], register: Register
 ) -> list[list[Points]]:
     """Put the points of several views into one frame, that of the first view.
 

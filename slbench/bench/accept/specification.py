@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -36,6 +36,7 @@ from pydantic import Field
 from slbench import objects
 from slbench.bench.accept.definitions import TESTS, StandardKind
 from slbench.bench.accept.evaluate import Place
+from slbench.bench.accept.registering import Register
 from slbench.bench.accept.standards import Celsius, Expansion, Standard, Temperature
 from slbench.bench.accept.verdict import Limit, read_limits
 from slbench.core import resources
@@ -51,8 +52,6 @@ from slbench.rig.pose import checked_rotation
 
 #: What lists the clouds of a folder.
 PLACES_FILE = "places.toml"
-
-Register = Literal["poses", "spheres"]
 
 
 class _Temperature(Parameters):

@@ -17,12 +17,11 @@ import numpy as np
 from slbench import objects
 from slbench.bench.accept.definitions import StandardKind
 from slbench.core.errors import InputError
+from slbench.core.units import REFERENCE_C
 from slbench.core.validation.types import FINITE, Interval, Length, NotNegative
 from slbench.core.validation.values import Value
 from slbench.objects import Artefact
 
-#: Reference temperature of lengths (ISO 1), degrees Celsius.
-REFERENCE_C = 20.0
 #: Coverage factor of a certificate.
 COVERAGE = 2.0
 #: Of the diagonal of a volume: a sphere's diameter, the spacing and the balls of a bar, the sides

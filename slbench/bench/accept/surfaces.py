@@ -12,6 +12,7 @@ noise leaves of them, so that their spread is the one that was measured.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -21,10 +22,11 @@ from numpy.typing import NDArray
 
 from slbench.bench.accept.definitions import DISPERSION_SHARE
 from slbench.cloud.fits.squares import core
+from slbench.cloud.triangulation import Axis
 from slbench.core.errors import InputError
 from slbench.rig.pose import product
 from slbench.score.features import fit_sphere
-from slbench.score.residuals import MIN_POINTS, SET_ASIDE
+from slbench.score.residuals import MIN_POINTS, most_aside, trimmed_range
 
 Array = NDArray[np.float64]
 
@@ -111,6 +113,15 @@ def joined(parts: list[Points]) -> Points:
     )
 
 
+def lines_of(pixels: NDArray[np.integer], axes: Sequence[Axis] = ("u",)) -> NDArray[np.integer]:
+    """Return the image line of each pixel (N, 2) that runs along the fringes, (N,).
+
+    Columns where the panel's u is coded, as where nothing is known of the axes; rows where its v
+    alone is.
+    """
+    return pixels[:, 0 if "u" in axes else 1]
+
+
 def _together(parts: list[Array | None]) -> Array | None:
     known = [part for part in parts if part is not None]
     return np.concatenate(known) if len(known) == len(parts) else None
@@ -154,7 +165,7 @@ class Fit:
     @property
     def form_mm(self) -> float:
         """Range of the residuals, 0.3 % of the points set aside."""
-        return trimmed_range(self.residuals, SET_ASIDE)
+        return trimmed_range(self.residuals)
 
     @property
     def dispersion_mm(self) -> float:
@@ -243,7 +254,7 @@ class Fit:
         draws = np.empty((_DRAWS, 2))
         for k in range(_DRAWS):
             drawn = still + noise * rng.standard_normal(len(noise))
-            draws[k] = trimmed_range(drawn, SET_ASIDE), thinnest(drawn, DISPERSION_SHARE)
+            draws[k] = trimmed_range(drawn), thinnest(drawn, DISPERSION_SHARE)
         deviations = draws.std(axis=0, ddof=1)
         return float(deviations[0]), float(deviations[1])
 
@@ -287,17 +298,10 @@ def fit_plate(points: Points, where: str) -> Fit:
     return Fit(points, np.zeros(3), normals, local[:, 2], design, kept)
 
 
-def trimmed_range(residuals: Array, aside: float) -> float:
-    """Return the range of residuals after a share of them, furthest from zero, was set aside."""
-    kept = max(residuals.size - int(np.ceil(aside * residuals.size)), 1)
-    nearest = np.argpartition(np.abs(residuals), kept - 1)[:kept]
-    return float(np.ptp(residuals[nearest]))
-
-
 def thinnest(residuals: Array, share: float) -> float:
-    """Return the width of the shortest interval that holds a share of the residuals."""
+    """Return the width of the shortest interval that holds at least a share of the residuals."""
     ordered = np.sort(residuals)
-    inside = max(int(np.ceil(share * ordered.size)), 1)
+    inside = ordered.size - most_aside(ordered.size, 1.0 - share)
     return float(np.min(ordered[inside - 1 :] - ordered[: ordered.size - inside + 1]))
 
 

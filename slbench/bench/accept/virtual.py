@@ -15,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.accept.evaluate import Measured, Place, measured_place
-from slbench.bench.accept.plan import faces
-from slbench.bench.accept.registering import registered
-from slbench.bench.accept.surfaces import Points
+from slbench.bench.accept.registering import Register, registered
+from slbench.bench.accept.surfaces import Points, lines_of
 from slbench.cloud.triangulation import Axis, PointCloud
 from slbench.core.random import tagged_seed
 from slbench.objects import PlaneFeature
 from slbench.rig import Pose, Rig
 from slbench.scene.model import Scene, SceneObject
 from slbench.scene.truth import GroundTruth
+from slbench.score.features import MAX_INCIDENCE
+from slbench.score.residuals import facing
 from slbench.simulate.floors import halves, noise_free_coordinates
 from slbench.simulate.lights import Lights
 from slbench.simulate.reconstruct import reconstruct
@@ -99,7 +100,7 @@ def measure(
     seed: int = 0,
     noise: bool = True,
     rig: Rig | None = None,
-    register: str = "poses",
+    register: Register = "poses",
 ) -> Measured:
     """Measure a place in its stored light.
 
@@ -155,7 +156,7 @@ def points_of(
     return Points(
         cloud.points[own],
         sensitivity * cloud.sigma_px[own][..., None],
-        cloud.pixels[own, 0],
+        lines_of(cloud.pixels[own], cloud.axes),
         sampling_mm=sampling,
     )
 
@@ -178,21 +179,18 @@ def _half_px(scene: Scene, transports: tuple[LightTransport, ...]) -> dict[Axis,
 def _pixels(scene: Scene, pose: Pose, truth: GroundTruth) -> tuple[NDArray[np.bool_], ...]:
     """Return the pixels of each ball, or of the plate, that are fitted."""
     smooth = truth.smooth(_SMOOTH_PX)
-    facing = smooth.copy()
-    points, normals = truth.point[smooth], truth.normal[smooth]
-    facing[smooth] = np.logical_and(
-        *(faces(device, points, normals) for device in (scene.rig.camera, scene.rig.projector))
-    )
+    seen = smooth.copy()
+    seen[smooth] = facing(scene.rig, truth.point[smooth], truth.normal[smooth], MAX_INCIDENCE)
     found = []
     for feature in scene.objects[0].artefact.features:
-        own = facing.copy()
-        local = pose.to_local(truth.point[facing])
+        own = seen.copy()
+        local = pose.to_local(truth.point[seen])
         if isinstance(feature, PlaneFeature):
             if len(scene.objects[0].artefact.spheres):
                 continue
-            own[facing] = feature.contains(local) & (np.abs(local[:, 2] - feature.z_mm) < 1e-6)
+            own[seen] = feature.contains(local) & (np.abs(local[:, 2] - feature.z_mm) < 1e-6)
         else:
             off = np.linalg.norm(local - feature.centre_mm, axis=-1) / feature.radius_mm - 1.0
-            own[facing] = np.abs(off) < _ON
+            own[seen] = np.abs(off) < _ON
         found.append(own)
     return tuple(found)

@@ -44,6 +44,7 @@ from pydantic import Field, model_validator
 from slbench.core.errors import InputError, located
 from slbench.core.io import read_toml
 from slbench.core.registry import quoted
+from slbench.core.units import REFERENCE_C
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Finite, NotNegative, Positive, Proportion
 from slbench.core.validation.values import validated
@@ -61,7 +62,7 @@ GAMMA, BASELINE, CERTIFICATE = "projector.gamma", "rig.baseline", "certificate"
 KNOWN = (TEMPERATURE, EXPANSION, GAMMA, BASELINE, CERTIFICATE, *RIG_PARAMETERS)
 #: Those that have an estimate, gamma the scene's where none is stated.  The others are errors about
 #: what was corrected for.
-USUAL = {TEMPERATURE: 20.0, EXPANSION: 0.0, GAMMA: 1.0}
+USUAL = {TEMPERATURE: REFERENCE_C, EXPANSION: 0.0, GAMMA: 1.0}
 #: Standard deviation of a distribution of half-width one.
 _OF_HALF_WIDTH = {"uniform": 1.0 / math.sqrt(3.0), "triangular": 1.0 / math.sqrt(6.0)}
 #: Fewer degrees of freedom leave a t distribution without a standard deviation.

@@ -21,6 +21,7 @@ from slbench.bench.budget.measurand import Measurand, measurand_of
 from slbench.cloud.triangulation import meet
 from slbench.core.errors import InputError, located
 from slbench.core.random import generator
+from slbench.core.units import REFERENCE_C
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import decode
 from slbench.rig import Pose, Rig
@@ -35,8 +36,6 @@ from slbench.simulate.transport import LightTransport
 Array = NDArray[np.float64]
 
 NOISE, PATTERN, VIBRATION, CALIBRATION = "noise", "fixed pattern", "vibration", "calibration"
-#: Temperature that lengths are stated at, degrees Celsius (ISO 1).
-REFERENCE_C = 20.0
 #: Pixels around a feature's that may come to lie on it in a draw, and around those for vibration.
 _MARGIN_PX, _SHAKEN_PX = 3, 8
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from slbench.bench.accept.acceptance import Acceptance
 from slbench.core.io import provenance
 from slbench.core.show.document import Cell, Page, Part, Picture, Table, Text
+from slbench.core.units import UM
 
-_UM = 1e3
 _PARTS = ("certificate", "expansion", "temperature", "fit", "sampling")
 
 
@@ -34,11 +34,9 @@ def acceptance_page(result: Acceptance) -> Page:
     for test in result.tests:
         for one in test.judged:
             value = one.value
-            u = [_UM * value.u_mm[name] for name in _PARTS]
-            limit = None if one.limit_mm is None else _UM * one.limit_mm
-            rows.append(
-                (test.test.words, value.place, _UM * value.error_mm, *u, limit, one.outcome)
-            )
+            u = [UM * value.u_mm[name] for name in _PARTS]
+            limit = None if one.limit_mm is None else UM * one.limit_mm
+            rows.append((test.test.words, value.place, UM * value.error_mm, *u, limit, one.outcome))
     parts_of_u = tuple(f"u {name} / µm" for name in _PARTS)
     columns = ("test", "place", "error / µm", *parts_of_u, "limit / µm", "verdict")
     parts.append(Table("All places", columns, tuple(rows)))

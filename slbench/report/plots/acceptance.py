@@ -16,9 +16,9 @@ from scipy.spatial import ConvexHull
 from slbench.bench.accept.acceptance import Acceptance
 from slbench.bench.accept.evaluate import Measured
 from slbench.bench.accept.verdict import GUARD, Tested
+from slbench.core.units import UM
 
 Array = NDArray[np.float64]
-_UM = 1e3
 _COLOURS = {"pass": "C2", "fail": "C3", "undecided": "C1", "no limit": "0.45"}
 _KINDS = {"sphere": "C0", "ball_bar": "C4", "plane": "C9"}
 #: Tests side by side.
@@ -99,8 +99,8 @@ def _errors(axes: Axes, test: Tested) -> None:
         value = one.value
         axes.errorbar(
             k + 1,
-            _UM * value.error_mm,
-            yerr=_UM * GUARD * value.u_test_mm,
+            UM * value.error_mm,
+            yerr=UM * GUARD * value.u_test_mm,
             fmt="o",
             markersize=4,
             capsize=2,
@@ -108,7 +108,7 @@ def _errors(axes: Axes, test: Tested) -> None:
         )
         if one.limit_mm is not None:
             for sign in (1.0, -1.0) if test.test.signed else (1.0,):
-                y = sign * _UM * one.limit_mm
+                y = sign * UM * one.limit_mm
                 axes.plot((k + 0.6, k + 1.4), (y, y), color="0.2", linewidth=1.4)
     axes.axhline(0.0, color="0.7", linewidth=0.8)
     if not test.test.signed:

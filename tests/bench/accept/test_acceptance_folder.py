@@ -333,6 +333,22 @@ def test_the_command_judges_writes_and_holds(tmp_path):
     assert "worse than the +10" in outcome.out.replace("9.9", "10")
 
 
+def test_check_names_the_command_that_holds_an_instrument(tmp_path):
+    """In CI the claims of an acceptance are accept's, by the very words that check tells."""
+    clouds = {"bar.xyz": bar(1)}
+    tables = {"standards": {"ball_bar": BAR}, "place": places("ball_bar", clouds)}
+    folder = write(tmp_path / "real", clouds, **tables)
+    assert run_cli("accept", folder, "--out", tmp_path / "out").status == 0
+    claims = tmp_path / "out" / "claims.toml"
+    told = f"slbench accept real --against {claims}"
+    done = run_cli("check", claims)
+    check_refused(done, "[[claim]]", told)
+    junit = tmp_path / "j.xml"
+    held = run_cli("accept", folder, "--against", claims, "--junit", junit, "--out", tmp_path / "b")
+    assert held.status == 0, held.err
+    assert junit.is_file()
+
+
 def test_what_held_keeps_the_certificate_out_of_the_slack(tmp_path):
     """A certificate known to 20 um is as wrong both times: 5 um more are still worse."""
     clouds = {f"bar{k}.xyz": bar(k, 40.010) for k in range(2)}

@@ -8,17 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import slbench as sl
+from slbench.bench.accept.acceptance import assembled, planned
 from slbench.bench.accept.definitions import LEAST_PLACES, TESTS
 from slbench.bench.accept.evaluate import Place, PlaceError, measured_place
 from slbench.bench.accept.plan import plan
 from slbench.bench.accept.signatures import explain, parameters_of, seen_by, signature
 from slbench.bench.accept.standards import Standard, Temperature, usual_standard
-from slbench.bench.accept.surfaces import Points, fit_plate, thinnest, trimmed_range
+from slbench.bench.accept.surfaces import Points, fit_plate, lines_of, thinnest
 from slbench.bench.accept.verdict import Limit, judge, judged_tests, overall, read_limits
 from slbench.core.errors import InputError
 from slbench.rig import Pose, Rig
 from slbench.rig.parameters import moved
 from slbench.scene.file import load_scene
+from slbench.score.residuals import trimmed_range
 
 SPHERE = Standard("sphere", diameter_mm=10.0)
 BAR = Standard("ball_bar", diameter_mm=10.0, spacing_mm=40.0)
@@ -350,11 +353,18 @@ def test_every_test_has_a_symbol() -> None:
         assert "CMV.MV" in test.label(3) or not test.iso
 
 
+def test_lines_follow_the_fringes() -> None:
+    """Errors go together along the panel's columns where u is coded, along its rows where v is."""
+    pixels = np.array([[3, 7], [4, 8]])
+    assert lines_of(pixels).tolist() == lines_of(pixels, ("u", "v")).tolist() == [3, 4]
+    assert lines_of(pixels, ("v",)).tolist() == [7, 8]
+
+
 def test_an_acceptance_of_nothing_is_refused() -> None:
     with pytest.raises(InputError, match="places: expected at least one, got none"):
         assembled("nothing", [])
     with pytest.raises(InputError, match="places: expected at least one, got none"):
-        accept(load_scene("acceptance-macro", preview=True), [])
+        sl.accept(load_scene("acceptance-macro", preview=True), [])
 
 
 @pytest.mark.parametrize("name", ["acceptance-macro", "acceptance-micro"])
