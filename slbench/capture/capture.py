@@ -40,6 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.reading import allowed, frame_files, left_aligned, read_frames, shifted
+from slbench.core.colour import BANDS, Band
 from slbench.core.errors import InputError, located, warn_user
 from slbench.core.io import OutputFolder, read_toml, write_png, write_tiff, write_toml
 from slbench.core.modules import load_modules, save_modules
@@ -90,6 +91,49 @@ class CaptureTable(Value):
 
 
 @dataclass(frozen=True, eq=False)
+class ColourPictures:
+    """Pictures of a camera in colour, whose channels a capture's frames are.
+
+    Parameters
+    ----------
+    values : (M, V, U, 3) uint8 or uint16
+        Red, green, blue.
+    channel : {"red", "green", "blue"} or None
+        The channel that is decoded of each; None where all three are, one after the other.
+    """
+
+    values: NDArray[Any]
+    channel: Band | None = None
+
+    def __repr__(self) -> str:
+        count, rows, columns, _ = self.values.shape
+        return f"<ColourPictures, {count} of {columns} x {rows} px>"
+
+    @property
+    def channels(self) -> tuple[int, ...]:
+        """Indices of the channels that are decoded."""
+        return (0, 1, 2) if self.channel is None else (BANDS.index(self.channel),)
+
+    @property
+    def frames(self) -> NDArray[Any]:
+        """The frames that are decoded, (N, V, U)."""
+        chosen = np.moveaxis(self.values[..., list(self.channels)], -1, 1)
+        return np.ascontiguousarray(chosen).reshape(-1, *self.values.shape[1:3])
+
+    def write(self, folder: Path) -> list[str]:
+        """Write ``frames/000.png`` and so on to a folder; return what a manifest calls the frames.
+
+        Such as ``frames/000.png#g``.
+        """
+        names = []
+        for k, picture in enumerate(self.values):
+            name = f"frames/{k:03d}.png"
+            write_png(folder / name, picture)
+            names += [f"{name}#{BANDS[channel][0]}" for channel in self.channels]
+        return names
+
+
+@dataclass(frozen=True, eq=False)
 class Capture(Value):
     """The frames of one scan and what was projected.
 
@@ -118,6 +162,8 @@ class Capture(Value):
     response : Response or None
         Of the projector, which decoding takes out; None for one that is linear, or pictures that
         undo it.
+    pictures : ColourPictures or None
+        Of a simulated camera in colour; they are saved in the frames' place.
     """
 
     frames: NDArray[Any]
@@ -131,6 +177,7 @@ class Capture(Value):
     pair: Pair = ALONE
     rig_covariance: ParameterCovariance | None = None
     response: Response | None = None
+    pictures: ColourPictures | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -216,6 +263,7 @@ class Capture(Value):
             noise=None if noise is None else amplified(noise, matrix),
             bit_depth=None,
             saturation_dn=None,
+            pictures=None,
         )
 
     def decode(self, min_modulation: float | None = None, **options: Any) -> PhaseMap:
@@ -259,10 +307,14 @@ class Capture(Value):
         """Write frames, manifest and rig as part of a folder that is being made."""
         root = Path(folder)
         (root / "frames").mkdir(parents=True, exist_ok=True)
-        suffix, write = ("tif", write_tiff) if self.frames.dtype.kind == "f" else ("png", write_png)
-        names = [f"frames/{k:03d}.{suffix}" for k in range(len(self.frames))]
-        for name, frame in zip(names, self.frames, strict=True):
-            write(root / name, frame)
+        if self.pictures is not None:
+            names = self.pictures.write(root)
+        else:
+            floats = self.frames.dtype.kind == "f"
+            suffix, write = ("tif", write_tiff) if floats else ("png", write_png)
+            names = [f"frames/{k:03d}.{suffix}" for k in range(len(self.frames))]
+            for name, frame in zip(names, self.frames, strict=True):
+                write(root / name, frame)
         manifest: dict[str, Any] = {
             "format": _FORMAT,
             "bit_depth": self.bit_depth,

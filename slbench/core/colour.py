@@ -1,16 +1,20 @@
-"""One band of light from pictures in colour: the linear luminance of sRGB.
+"""Light from pictures in colour: the linear values of sRGB, and their luminance.
 
-A picture's numbers are encoded for a display (IEC 61966-2-1); light adds up in linear values.  Of
-these, slbench keeps the luminance: weights of Rec. ITU-R BT.709, which are sRGB's own.
+A picture's numbers are encoded for a display (IEC 61966-2-1); light adds up in linear values.  A
+scene of one band sees their luminance: weights of Rec. ITU-R BT.709, which are sRGB's own.  A scene
+in colour sees the values themselves, one a band.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Band = Literal["red", "green", "blue"]
+#: The bands of light of a scene in colour, in the order of all that has three numbers for them.
+BANDS: tuple[Band, ...] = get_args(Band)
 #: Of red, green and blue in linear sRGB.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 

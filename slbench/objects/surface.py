@@ -1,8 +1,8 @@
-"""What a mesh brings beside its triangles: how parts look, in one band of light.
+"""What a mesh brings beside its triangles: how parts look, in one band of light or in three.
 
 A part has one number, a picture, or values at the corners of its faces.  All are *albedos*: the
-linear luminance of the file's base colour (:mod:`slbench.core.colour`).  What a scene makes of
-them, and what it states instead, is the scene's business.
+linear luminance of the file's base colour (:mod:`slbench.core.colour`), and beside it the colour.
+What a scene makes of them, and what it states instead, is the scene's business.
 """
 
 from __future__ import annotations
@@ -14,7 +14,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.colour import decode_srgb, unit_range
 from slbench.core.errors import InputError
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Coloured:
+    """The colours of a picture, as its file has them: a band's values are made when asked for.
+
+    Parameters
+    ----------
+    encoded : (H, W, 3 or more) uint8, uint16 or float
+        Red, green, blue; the first row on top.
+    srgb : bool
+        Whether they are encoded as sRGB; linear otherwise.
+    factor : (float, float, float)
+        On the linear values.
+    """
+
+    encoded: NDArray[Any]
+    srgb: bool = True
+    factor: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def band(self, k: int) -> NDArray[np.float32]:
+        """Return the linear values of red (0), green (1) or blue (2), (H, W) in [0, 1]."""
+        values = unit_range(self.encoded[..., k])
+        linear = decode_srgb(values) if self.srgb else values
+        return np.clip(self.factor[k] * linear, 0.0, 1.0).astype(np.float32)
 
 
 class Pixels:
@@ -24,9 +50,12 @@ class Pixels:
     ----------
     values : (H, W) or (H, W, 3) array_like of float
         The first row on top.
+    colours : Coloured, optional
+        Of which `values` are the luminance.
     """
 
-    def __init__(self, values: ArrayLike) -> None:
+    def __init__(self, values: ArrayLike, colours: Coloured | None = None) -> None:
+        self.colours = colours
         self.values: NDArray[np.float32] = np.array(values, dtype=np.float32)
         self.values.setflags(write=False)
         shape = repr(self.values.shape).encode()
@@ -41,6 +70,10 @@ class Pixels:
 
     def __hash__(self) -> int:
         return hash(self.sha256)
+
+    def band(self, k: int) -> Pixels:
+        """Return the values in a band of light, of red (0), green (1) or blue (2)."""
+        return self if self.colours is None else Pixels(self.colours.band(k))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,6 +93,8 @@ class Surface:
         As glTF's, in [0, 1], where the file states them.
     normals : Pixels, optional
         A map of normals in tangent space, (H, W, 3).
+    colour : (float, float, float), optional
+        Of which `albedo` is the luminance, where it stands alone.
     """
 
     albedo: float = 1.0
@@ -68,6 +103,7 @@ class Surface:
     metallic: float | Pixels | None = None
     roughness: float | Pixels | None = None
     normals: Pixels | None = None
+    colour: tuple[float, float, float] | None = None
 
     def __repr__(self) -> str:
         if self.picture is not None:

@@ -34,6 +34,8 @@ class Mesh:
     normals : (m, 3, 3) array_like of float, optional
         Unit normals at the corners of the faces that light is shaded by; NaN where a part has none.
         The true surface stays that of the facets.
+    colours : (m, 3, 3) array_like of float, optional
+        Red, green and blue at the corners of the faces, linear, of which `albedo` is the luminance.
 
     Raises
     ------
@@ -46,6 +48,7 @@ class Mesh:
     uv: NDArray[np.float64] | None = None
     albedo: NDArray[np.float64] | None = None
     normals: NDArray[np.float64] | None = None
+    colours: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         vertices = np.array(self.vertices, dtype=np.float64)
@@ -71,7 +74,7 @@ class Mesh:
         faces.setflags(write=False)
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
-        for name, width in (("uv", 2), ("albedo", 0), ("normals", 3)):
+        for name, width in (("uv", 2), ("albedo", 0), ("normals", 3), ("colours", 3)):
             values = corner_values(getattr(self, name), len(faces), width, name)
             object.__setattr__(self, name, values)
 
@@ -133,7 +136,8 @@ class Mesh:
         normals = self.normals
         if normals is not None:
             normals = product(normals.reshape(-1, 3), r.T).reshape(normals.shape)
-        return Mesh(product(self.vertices, r.T) + t, self.faces, self.uv, self.albedo, normals)
+        moved = product(self.vertices, r.T) + t
+        return dataclasses.replace(self, vertices=moved, normals=normals)
 
     @cached_property
     def as_trimesh(self) -> "trimesh.Trimesh":

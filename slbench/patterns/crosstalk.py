@@ -26,6 +26,8 @@ from slbench.patterns.noise import NoiseModel
 #: Row i: what camera channel i sees of each projector channel.
 Crosstalk = tuple[tuple[float, ...], ...]
 
+#: Of three channels that do not mix.
+UNMIXED: Crosstalk = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 #: Largest condition of a matrix: channels that are nearly the same cannot be told apart.
 _CONDITION = 100.0
 #: Largest share: rows are normalised by a white picture, or nearly.

@@ -38,7 +38,8 @@ from slbench.patterns.base import (
     extent,
     flat_frames,
 )
-from slbench.patterns.crosstalk import check_crosstalk
+from slbench.patterns.crosstalk import UNMIXED, check_crosstalk
+from slbench.patterns.flat import Flat
 from slbench.patterns.registry import pattern_codes
 
 #: Largest residual of a fringe order that is believed, turns, unless said otherwise.
@@ -46,6 +47,8 @@ MAX_ORDER_RESIDUAL = 0.3
 #: Words of the short text that force a way to tell fringes apart; "gray" is a code.
 _WAYS = tuple(way for way in get_args(Unwrap) if way not in ("auto", "gray"))
 
+#: Last word of the short text of a set in colour.
+PACKED = "rgb"
 #: Sets that have a name.  By "characterisation" a camera and a projector are characterised: a ramp
 #: of grey, for noise and response; one fringe and few, several times, for vibration; and many, for
 #: blur.
@@ -388,7 +391,9 @@ class PatternSequence(Value):
             for the counts before it that have none: ``"1,10,50"``, ``"1,10,50@4"``,
             ``"gray+16@8"``.  A count is any real number (``28.8@4``), or a period (``22.5px``);
             ``@0/90/180`` is a list of shifts in degrees.  A last word forces what tells fringes
-            apart: ``"15,16@4+heterodyne"``, ``"16@4+spatial"``.  Spaces stand beside these signs
+            apart: ``"15,16@4+heterodyne"``, ``"16@4+spatial"``.  With ``+rgb`` at the end three
+            frames in a row are the channels of one colour picture; ``white`` and ``black`` are
+            whole pictures then, and black fills the last one.  Spaces stand beside these signs
             alone: ``"1 10 50"`` is not ``"11050"``.  A word of :data:`NAMED` is a whole set.
         panel : (int, int)
             Panel width and height in pixels.
@@ -410,6 +415,9 @@ class PatternSequence(Value):
         found = "+".join(NAMED.get(word, word) for word in found.split("+"))
         joined = re.sub(r"\s+", "+", re.sub(r"(?<=\d)\s+(?=\d)", ",", found))
         *words, last = joined.split("+")
+        packed = bool(words) and last == PACKED
+        if packed:
+            *words, last = words
         forced = bool(words) and last in _WAYS
         parts: list[Code] = []
         for i, axis in enumerate(cast(Sequence[Axis], axes)):
@@ -419,7 +427,13 @@ class PatternSequence(Value):
         if joined != found:
             expected = f'"{joined}": counts joined by commas, words by +'
             raise InputError(f'patterns "{text}"', expected, "spaces between them")
-        return cls(panel, tuple(parts), cast(Unwrap, last) if forced else "auto")
+        unwrap = cast(Unwrap, last) if forced else "auto"
+        if not packed:
+            return cls(panel, tuple(parts), unwrap)
+        parts = [part for one in parts for part in (one,) * (3 if isinstance(one, Flat) else 1)]
+        count = sum(part.n_frames(panel) for part in parts)
+        parts += [Flat(0.0)] * (-count % 3)
+        return cls(panel, tuple(parts), unwrap, crosstalk=UNMIXED)
 
 
 def _text(parts: Sequence[Code]) -> str:

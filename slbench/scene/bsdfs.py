@@ -9,16 +9,16 @@ GGX distribution (Walter et al., "Microfacet models for refraction through rough
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from slbench.core.registry import Registry
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Fraction, Interval, Measure, NotNegative, Share
 from slbench.scene.textures import (
+    COLOURED,
     LEAST_ROUGHNESS,
     FractionMap,
     Normals,
-    OfVertices,
     ShareMap,
     Texture,
     spectrum,
@@ -58,8 +58,14 @@ class Bsdf(Parameters):
     @property
     def mappings(self) -> set[str]:
         """By what texture coordinates it is laid on a surface: ``box``, ``uv``, or none."""
-        maps = self.textures.values()
-        return {one.mapping for one in maps if not isinstance(one, OfVertices)}
+        return {one.mapping for one in self.textures.values() if one.laid}
+
+    def in_band(self, k: int) -> Self:
+        """Return the BSDF in a band of light, of red (0), green (1) or blue (2)."""
+        found = {name: one.in_band(k) for name, one in self.textures.items() if name in COLOURED}
+        own = self.textures
+        changed = {name: value for name, value in found.items() if value is not own[name]}
+        return self.model_copy(update=changed) if changed else self
 
     @property
     def textures(self) -> dict[str, Texture]:

@@ -59,6 +59,8 @@ def scene_doubts(scene: Scene, tables: SceneTables) -> Iterator[tuple[str, str]]
         yield "projector.gamma", 'not used beside a response (to take that out: response = "")'
     if isinstance(scene.detector, Detector) and (doubt := converter_doubt(scene.detector)):
         yield "detector.gain_e_per_dn", doubt
+    for key, doubt in scene.colour.doubts() if scene.colour else ():
+        yield f"colour.{key}", doubt
     for index, item in enumerate(scene.objects):
         if doubt := speck_doubt(item, rig):
             yield f"objects[{index}]", doubt

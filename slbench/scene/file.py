@@ -371,6 +371,7 @@ def _build(
         calibration=None
         if file.calibration is None
         else read_calibration(file.calibration, rig, path),
+        colour=file.colour,
     )
 
 

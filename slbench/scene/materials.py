@@ -35,6 +35,7 @@ from slbench.scene.textures import (
     OfVertices,
     Picture,
     Texture,
+    Tint,
     read_texture,
 )
 
@@ -105,6 +106,14 @@ class Material:
             raise InputError(where, expected, "a mesh without")
         return replace(self, bsdf=bsdf)
 
+    def in_band(self, k: int) -> Material:
+        """Return the material in a band of light, of red (0), green (1) or blue (2).
+
+        It stands on a part already (:meth:`on`); a grey one is itself.
+        """
+        bsdf = self.bsdf.in_band(k)
+        return self if bsdf is self.bsdf else replace(self, bsdf=bsdf)
+
 
 def of_surface(surface: Surface | None, texture: OfMesh, where: str) -> float | Texture:
     """Return the base colour of a part's surface, times the texture's factor."""
@@ -114,6 +123,8 @@ def of_surface(surface: Surface | None, texture: OfMesh, where: str) -> float | 
         return OfVertices(scale=texture.scale)
     if surface.picture is not None:
         return Picture(path="mesh", pixels=surface.picture, scale=texture.scale)
+    if surface.colour is not None and np.ptp(surface.colour) > 0.0:
+        return Tint(values=surface.colour, scale=texture.scale)
     return surface.albedo * texture.scale
 
 

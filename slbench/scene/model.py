@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.focus import Focus
+from slbench.core.colour import BANDS, Band
 from slbench.core.errors import InputError
+from slbench.core.registry import quoted
 from slbench.core.show.display import block, numbers
 from slbench.core.validation.types import (
     Bounces,
@@ -31,9 +33,11 @@ from slbench.detector.base import DetectorModel
 from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact
 from slbench.patterns import GivenPatterns, PatternSequence, PatternSource, read_patterns
+from slbench.patterns.crosstalk import UNMIXED
 from slbench.rig import Pose, Rig
 from slbench.scene.calibration import Calibration, calibration_of
-from slbench.scene.environment import Environment
+from slbench.scene.colour import Colour
+from slbench.scene.environment import Environment, Radiance
 from slbench.scene.materials import Material
 
 #: What is projected on a scene that states no patterns.
@@ -79,6 +83,13 @@ class SceneObject(Value):
         """
         return self.materials.get(part, self.material).on(self.artefact, part)
 
+    def in_band(self, k: int) -> Self:
+        """Return the object in a band of light; itself where it is grey."""
+        materials = {part: self.material_of(part) for part in self.artefact.parts}
+        found = {part: material.in_band(k) for part, material in materials.items()}
+        alike = all(found[part] is materials[part] for part in found)
+        return self if alike else replace(self, materials=found)
+
     @property
     def middle(self) -> NDArray[np.float64]:
         """The middle of the box about the object, along its own axes, (3,), mm in the world."""
@@ -113,6 +124,14 @@ class Light(Value):
     def has_surroundings(self) -> bool:
         """Whether light comes from elsewhere than the projector."""
         return self.ambient_w_per_mm2 > 0.0 or self.environment is not None
+
+    def dimmed(self, factor: float) -> Light:
+        """Return the light with all that comes from around times a factor."""
+        around = self.environment
+        if around is not None and factor != 1.0:
+            radiance = Radiance(np.float32(factor) * around.radiance.values)
+            around = replace(around, radiance=radiance)
+        return replace(self, ambient_w_per_mm2=factor * self.ambient_w_per_mm2, environment=around)
 
 
 @dataclass(frozen=True)
@@ -158,6 +177,9 @@ class Scene(Value):
         Settings of a focus stack; None for one picture with the focus of the rig.
     calibration : Calibration or None
         What it is measured with; None for the rig that is rendered.
+    colour : Colour or None
+        Three bands of light; None for one.  Colour patterns whose channels are said not to mix are
+        taken apart by its cross-talk.
     """
 
     name: str
@@ -171,9 +193,12 @@ class Scene(Value):
     specification: dict[str, Any] = field(default_factory=dict)
     focus: Focus | None = None
     calibration: Calibration | None = None
+    colour: Colour | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.colour is not None:
+            object.__setattr__(self, "sequence", _calibrated(self.sequence, self.colour))
         panel = (self.rig.projector.width, self.rig.projector.height)
         if self.sequence.panel != panel:
             raise InputError(
@@ -190,6 +215,7 @@ class Scene(Value):
             ", ".join(sizes[:4]) + (" ..." if len(sizes) > 4 else ""),
             f"patterns {{{self.sequence.name}}}, {self.sequence.n_frames} frames; "
             f"{self.samples} samples a pixel",
+            "" if self.colour is None else "in colour",
             "" if self.focus is None else f"{len(self.focus)} focus settings",
             "" if self.calibration is None else f"measured with {self.calibration.source}",
         )
@@ -279,6 +305,34 @@ class Scene(Value):
             raise InputError(names[0], "no shifts (@) in the patterns too", source)
         return replace(self, sequence=found.sequence)
 
+    def in_band(self, band: Band) -> Self:
+        """Return the scene of one band of a scene in colour: a scene that is not.
+
+        Materials have their values there, lenses their scales, ambient light its factor.
+
+        Parameters
+        ----------
+        band : {"red", "green", "blue"}
+
+        Raises
+        ------
+        InputError
+            For another band, or a scene that is not in colour.
+        """
+        if self.colour is None:
+            raise InputError(f"scene {self.name}: band", "a scene in colour ([colour])", band)
+        if band not in BANDS:
+            raise InputError(f"scene {self.name}: band", " or ".join(BANDS), quoted(band, BANDS))
+        k = BANDS.index(band)
+        items = tuple(item.in_band(k) for item in self.objects)
+        return replace(
+            self,
+            rig=self.colour.rig(self.rig, k),
+            objects=items,
+            light=self.light.dimmed(self.colour.ambient[k]),
+            colour=None,
+        )
+
     @property
     def place(self) -> Pose:
         """Where the measurement volume is, z towards the camera (:func:`place_of`)."""
@@ -340,6 +394,24 @@ class Scene(Value):
         return replace(
             self, calibration=made, specification=self.specification | {"calibration": table}
         )
+
+
+def _calibrated(sequence: PatternSequence, colour: Colour) -> PatternSequence:
+    """Return a sequence in colour that is taken apart by a scene's cross-talk.
+
+    Raises
+    ------
+    InputError
+        For pictures of other than three channels, and channels that cannot be told apart.
+    """
+    if sequence.crosstalk is None:
+        return sequence
+    if sequence.channels != len(BANDS):
+        expected = f"{len(BANDS)} channels a picture, those of the scene's colour"
+        raise InputError("patterns: crosstalk", expected, sequence.channels)
+    if colour.unmix and sequence.crosstalk == UNMIXED:
+        return replace(sequence, crosstalk=colour.crosstalk)
+    return sequence
 
 
 def place_of(rig: Rig, objects: Sequence[SceneObject]) -> Pose:

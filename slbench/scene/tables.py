@@ -35,6 +35,7 @@ from slbench.core.validation.types import (
 from slbench.patterns.given import PatternsTable
 from slbench.rig import Pose, Rig
 from slbench.rig.optics.response import ResponseCurve
+from slbench.scene.colour import Colour
 from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
 from slbench.scene.environment import Environment, environment_of
 
@@ -394,6 +395,7 @@ class SceneTables(Parameters):
     patterns: PatternsTable = PatternsTable()
     focus: FocusTable | None = None
     calibration: CalibrationTable | None = None
+    colour: Colour | None = None
     render: RenderTable = RenderTable()
     preview: PreviewTable = PreviewTable()
     # What the rig design needs of the hardware (slbench.design.rig.hardware); a scan does not.

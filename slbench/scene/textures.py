@@ -2,8 +2,8 @@
 
 Where a material takes a number, it takes a *texture* instead: a picture (``"wood.png"``), the
 colours that a mesh brings (``{ texture = "mesh" }``), or one that is drawn
-(:mod:`slbench.scene.drawn`).  All become one band of light: the linear luminance of a picture's
-colours (:mod:`slbench.core.colour`).
+(:mod:`slbench.scene.drawn`).  In one band of light the linear luminance of colours counts
+(:mod:`slbench.core.colour`), in a scene of three bands each has its own.
 
 A texture is a tile that repeats.  ``mapping = "uv"`` lays it by the mesh's texture coordinates,
 ``"box"`` by the object's own coordinates: each face takes the two axes that it is least inclined
@@ -15,7 +15,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Fraction, Measure, MinLen, Share, Words
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
-from slbench.objects.surface import Pixels
+from slbench.objects.surface import Coloured, Pixels
 
 #: Of the values at a mesh's vertices, in Mitsuba's words.
 VERTEX_ALBEDO = "vertex_albedo"
@@ -55,6 +55,9 @@ class Texture(Parameters):
         Factor on all values, in (0, 1].
     """
 
+    #: Whether it is laid by coordinates.
+    laid: ClassVar[bool] = True
+
     mapping: Literal["box", "uv"] = "box"
     size_mm: Measure = 10.0
     repeat: Measure = 1.0
@@ -66,6 +69,10 @@ class Texture(Parameters):
 
         The last is whether values jump from one texel to the next instead of being interpolated.
         """
+
+    def in_band(self, k: int) -> float | Texture:
+        """Return what it is in a band of light, of red (0), green (1) or blue (2): itself, grey."""
+        return self
 
     def mitsuba(self) -> dict[str, Any]:
         """Return the texture as a dictionary; arrays in it are the renderer's to take in."""
@@ -110,6 +117,13 @@ class Picture(Texture):
         pixels = self.pixels or self._read()
         return pixels.values, (1.0, 1.0), False
 
+    def in_band(self, k: int) -> Picture:
+        """Return the picture of its red (0), green (1) or blue (2) values."""
+        pixels = self.pixels or self._read()
+        return (
+            self if pixels.colours is None else self.model_copy(update={"pixels": pixels.band(k)})
+        )
+
     def read(self) -> Picture:
         """Return the texture with the file's values in it, which a change of the file leaves.
 
@@ -121,11 +135,15 @@ class Picture(Texture):
         return self.model_copy(update={"pixels": self._read()})
 
     def _read(self) -> Pixels:
-        values = unit_range(read_colour(self.path))
+        encoded = read_colour(self.path)
+        values = unit_range(encoded)
         if not (np.isfinite(values).all() and values.min() >= 0.0 and values.max() <= 1.0):
             raise InputError(self.path, "values in [0, 1]", f"{values.min()} to {values.max()}")
-        linear = decode_srgb(values) if self.encoding == "srgb" else values
-        return Pixels(linear if linear.ndim == 2 else np.clip(luminance(linear), 0.0, 1.0))
+        srgb = self.encoding == "srgb"
+        linear = decode_srgb(values) if srgb else values
+        if linear.ndim == 2:
+            return Pixels(linear)
+        return Pixels(np.clip(luminance(linear), 0.0, 1.0), Coloured(encoded, srgb))
 
 
 class NormalMap(Picture):
@@ -160,11 +178,49 @@ class OfMesh(Texture):
 
 
 class OfVertices(OfMesh):
-    """Values at the corners of a mesh's faces."""
+    """Values at the corners of a mesh's faces.
+
+    Parameters
+    ----------
+    band : int, optional
+        Of red (0), green (1) or blue (2); their luminance by default.
+    """
+
+    laid: ClassVar[bool] = False
+    band: Literal[0, 1, 2] | None = None
+
+    def in_band(self, k: int) -> OfVertices:
+        """Return the red (0), green (1) or blue (2) values."""
+        return self.model_copy(update={"band": k})
 
     def mitsuba(self) -> dict[str, Any]:
         """Return Mitsuba's ``mesh_attribute``."""
         return {"type": "mesh_attribute", "name": VERTEX_ALBEDO, "scale": self.scale}
+
+
+class Tint(Texture):
+    """One colour all over: three numbers in the place of one.
+
+    Parameters
+    ----------
+    values : (float, float, float)
+        Linear, of red, green and blue light, in [0, 1].
+    """
+
+    laid: ClassVar[bool] = False
+    values: tuple[Share, Share, Share]
+
+    def tile(self) -> tuple[NDArray[np.float32], tuple[float, float], bool]:
+        """Return one texel of the colour's luminance."""
+        return np.array([[luminance(self.values)]], np.float32), (1.0, 1.0), True
+
+    def in_band(self, k: int) -> float:
+        """Return the number of a band."""
+        return self.scale * self.values[k]
+
+    def mitsuba(self) -> dict[str, Any]:
+        """Return a spectrum of the colour's luminance."""
+        return {"type": "uniform", "value": self.scale * float(luminance(self.values))}
 
 
 #: Textures by name.  To add one, write its class and name it here; outside slbench the entry-point
@@ -185,6 +241,8 @@ textures: Registry[type[Texture]] = Registry(
 )
 
 _EXPECTED = "a number in [0, 1], a picture's file, or a table with texture"
+#: Parameters of a material that may have a colour.
+COLOURED = ("albedo",)
 #: A share, or a texture of shares.
 ShareMap = Annotated[Share | InstanceOf[Texture], Words(_EXPECTED)]
 #: A roughness, or a texture of it.
@@ -201,7 +259,9 @@ def spectrum(value: float | Texture, least: float = 0.0) -> dict[str, Any]:
     if not isinstance(value, Texture):
         return {"type": "uniform", "value": float(value)}
     words = value.mitsuba()
-    return words | {"bitmap": np.maximum(words["bitmap"], least)} if least else words
+    for key in {"bitmap", "value"} & words.keys() if least else ():
+        words[key] = np.maximum(words[key], least)
+    return words
 
 
 def read_texture(value: Any, where: str, folder: Path | None, key: str = "albedo") -> Any:
@@ -226,6 +286,12 @@ def read_texture(value: Any, where: str, folder: Path | None, key: str = "albedo
     normal = key == "normal_map"
     if isinstance(value, str):
         value = {"path": value} if normal else {"texture": "picture", "path": value}
+    if isinstance(value, list | tuple) and key in COLOURED:
+        expected = "a number, or three of them in [0, 1]: of red, green and blue"
+        try:
+            return Tint(values=tuple(value))
+        except ValueError:
+            raise InputError(where, expected, shown(list(value))) from None
     if not isinstance(value, Mapping):
         return value
     if "texture" not in value and not normal:

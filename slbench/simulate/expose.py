@@ -5,7 +5,7 @@ Every frame is a sparse product and a noise draw.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import NamedTuple
 
@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.capture.capture import Capture
+from slbench.capture.capture import Capture, ColourPictures
+from slbench.core.colour import BANDS
 from slbench.core.errors import InputError
 from slbench.core.random import Word, generator
 from slbench.detector import DetectorModel
@@ -23,11 +24,14 @@ from slbench.patterns.crosstalk import mixed
 from slbench.rig import Camera, Projector, Rig
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Exposure, Scene
+from slbench.simulate.colour import ColourTransport, exposed, noise_of
 from slbench.simulate.transport import LightTransport
 
 #: Exposure time that the dark signal is computed with where the light's power is unknown (a
 #: pinhole camera, automatic exposure).
 NOMINAL_EXPOSURE_S = 0.01
+#: Memory of a channel's radiance images at a time.
+_COLOUR_BYTES = (1 << 28) // 3
 
 
 class NothingLit(InputError):
@@ -86,46 +90,99 @@ def capture(
     Returns
     -------
     Capture
+        In colour, with its pictures, where the light is.
     """
     factor, exposure_s = shutter or shutter_for(transport, rig.camera, detector, exposure)
-    shape = (sequence.n_frames, *transport.shape)
+    n_pictures = -(-sequence.n_frames // sequence.channels)
     dtype = np.uint8 if detector.bit_depth == 8 else np.uint16
-    frames = np.empty(shape, dtype)
     rng = generator(seed, Word.NOISE)
     moves = None
     if noise and exposure.vibration_px > 0:  # channels of a picture move together
-        moves = generator(seed, Word.VIBRATION).normal(
-            0.0, exposure.vibration_px, (-(-len(frames) // sequence.channels), 2)
-        )
+        moves = generator(seed, Word.VIBRATION).normal(0.0, exposure.vibration_px, (n_pictures, 2))
+    quiet = NoiseModel(offset_dn=detector.black_dn)
+    pictures: ColourPictures | None = None
     done = 0
-    for indices, radiance in radiance_batches(transport, sequence, rig.projector):
-        if moves is not None:
-            move_pictures(radiance, moves[indices // sequence.channels])
-        frames[indices] = detector.expose(radiance, exposure_s, rng, noise, factor)
-        done += len(indices)
-        if on_progress:
-            on_progress(done / len(frames))
+    if isinstance(transport, ColourTransport):
+        colour = transport.colour
+        values = np.empty((n_pictures, *transport.shape, len(BANDS)), dtype)
+        streams = rng.spawn(len(BANDS))
+        for indices, seen in _picture_batches(transport, sequence, rig.projector):
+            if moves is not None:
+                for channel in seen:
+                    move_pictures(channel, moves[indices])
+            taken = colour, detector, exposure_s, streams
+            values[indices] = exposed(seen, *taken, noise=noise, scale=factor)
+            done += len(indices)
+            if on_progress:
+                on_progress(done / n_pictures)
+        pictures = ColourPictures(values, colour.channel if sequence.channels == 1 else None)
+        frames = pictures.frames
+        model = noise_of(colour, detector, pictures.channels) if noise else quiet
+    else:
+        frames = np.empty((sequence.n_frames, *transport.shape), dtype)
+        for indices, radiance in radiance_batches(transport, sequence, rig.projector):
+            if moves is not None:
+                move_pictures(radiance, moves[indices // sequence.channels])
+            frames[indices] = detector.expose(radiance, exposure_s, rng, noise, factor)
+            done += len(indices)
+            if on_progress:
+                on_progress(done / len(frames))
+        model = detector.noise_model() if noise else quiet
     return Capture(
         frames,
         sequence,
         detector.bit_depth,
-        detector.noise_model() if noise else NoiseModel(offset_dn=detector.black_dn),
+        model,
         rig,
         exposure_s,
         detector.saturation_dn,
         pair=rig.only,
+        pictures=pictures,
     )
 
 
 def radiance_batches(
     transport: LightTransport, sequence: PatternSequence, projector: Projector
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
-    """Yield frame indices and their radiance images, a bounded number at a time."""
+    """Yield frame indices and their radiance images, a bounded number at a time.
+
+    In colour they are what the channels see by which the frames are decoded.
+    """
+    if isinstance(transport, ColourTransport):
+        packed = sequence.channels > 1
+        wanted = range(len(BANDS)) if packed else (transport.colour.decoded,)
+        for pictures, seen in _picture_batches(transport, sequence, projector, tuple(wanted)):
+            indices = (pictures[:, np.newaxis] * len(wanted) + np.arange(len(wanted))).ravel()
+            yield indices, seen.swapaxes(0, 1).reshape(-1, *transport.shape)
+        return
     for along in sequence.variations:
         indices = sequence.frames_along(along)
         for part in transport.batches(len(indices), along=along):
             panel = _emitted(sequence, indices[part], along, projector)
             yield indices[part], transport.relight(panel, along)
+
+
+def _picture_batches(
+    transport: ColourTransport,
+    sequence: PatternSequence,
+    projector: Projector,
+    channels: Sequence[int] = (0, 1, 2),
+) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
+    """Yield indices of pictures in colour (n,) and what channels see of them, (channels, n, V, U).
+
+    A grey pattern is shown by all three primaries.
+    """
+    panel = projector.bit_depth, projector.gamma, projector.curve
+    count = sequence.channels
+    for along in sequence.variations:
+        pictures = np.unique(sequence.frames_along(along) // count)
+        for part in transport.batches(len(pictures), _COLOUR_BYTES, along=along):
+            frames = (pictures[part, np.newaxis] * count + np.arange(count)).ravel()
+            shown = panel_response(sequence.shown(frames, along), *panel)
+            primaries = shown.reshape(-1, count, *shown.shape[1:]).swapaxes(0, 1)
+            if count == 1:
+                primaries = np.concatenate([primaries] * len(BANDS))
+            yield pictures[part], transport.seen(primaries, along, channels)
 
 
 def _emitted(
@@ -164,11 +221,15 @@ def shutter_for(
         per_second = float(photons)
         if time is not None:
             return Shutter(per_second * time, time)
-    white = transport.white().astype(np.float64)
-    lit = white > transport.ambient
-    if not np.any(lit):
+    factors = []
+    for white, dark in transport.whites():  # no channel is to saturate
+        lit = white > dark
+        if np.any(lit):
+            seen = white.astype(np.float64)[lit]
+            factors.append(detector.exposure_scale(seen, exposure.white_level))
+    if not factors:
         raise NothingLit("scene", "an object that the projector lights", "none")
-    factor = detector.exposure_scale(white[lit], exposure.white_level)
+    factor = min(factors)
     return Shutter(factor, factor / per_second if per_second else NOMINAL_EXPOSURE_S)
 
 

@@ -14,10 +14,12 @@ from collections.abc import Callable, Hashable
 from dataclasses import replace
 from typing import Any
 
+from slbench.core.colour import BANDS
 from slbench.rig import Rig
 from slbench.scene.materials import Material
 from slbench.scene.model import Scene, SceneObject
 from slbench.scene.truth import GroundTruth
+from slbench.simulate.colour import ColourTransport
 from slbench.simulate.stack import traced
 from slbench.simulate.transport import LightTransport, Marginal
 
@@ -27,6 +29,8 @@ def light_key(scene: Scene) -> Hashable:
 
     Scenes of equal keys have the same light, also where each was read from a file of its own.
     """
+    if scene.colour is not None:
+        return tuple(light_key(scene.in_band(band)) for band in BANDS)
     return (truth_key(scene), tuple(map(_seen, scene.rigs)), repr(vars(scene.light)), scene.samples)
 
 
@@ -111,6 +115,9 @@ class Lights:
             held = traced(scene, both, seed=self.seed, on_progress=on_progress)
             self.traces += 1
         self._keep(self._lights, key, held)
+        if scene.colour is not None:  # which mixes what was traced
+            bands = [one.bands for one in held if isinstance(one, ColourTransport)]
+            return tuple(ColourTransport.of(each, scene.colour) for each in bands)
         return held
 
     def put(self, scene: Scene, transports: tuple[LightTransport, ...]) -> None:

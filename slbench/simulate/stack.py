@@ -10,9 +10,11 @@ from dataclasses import replace
 
 from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack
+from slbench.core.colour import BANDS
 from slbench.core.random import setting_seed
 from slbench.patterns import Flat, PatternSequence
 from slbench.scene.model import Scene
+from slbench.simulate.colour import ColourTransport
 from slbench.simulate.expose import Shutter, capture, lighting, shutter_for
 from slbench.simulate.transport import LightTransport, Marginal
 
@@ -42,25 +44,52 @@ def traced(
     on_progress : callable, optional
         Called with the finished fraction.
     """
+    kept = scene.sequence.variations if axes is None else axes
+    count = 1 if scene.focus is None else len(scene.focus)
+    found: list[LightTransport] = []
+    for k in range(count):
+
+        def progress(part: float, done: int = k) -> None:
+            if on_progress:
+                on_progress((done + part) / count)
+
+        found.append(_traced(scene, k, kept, seed, progress))
+    return tuple(found)
+
+
+def _traced(
+    scene: Scene,
+    setting: int,
+    axes: tuple[Marginal, ...],
+    seed: int,
+    on_progress: Callable[[float], None] | None = None,
+) -> LightTransport:
+    """Trace a scene at one of its focus settings, each band where it is in colour."""
     from slbench.simulate.render.trace import trace
 
-    kept = scene.sequence.variations if axes is None else axes
-    found: list[LightTransport] = []
-    for rig in scene.rigs:
-
-        def progress(part: float, done: int = len(found)) -> None:
-            if on_progress:
-                on_progress((done + part) / len(scene.rigs))
-
-        found.append(
-            trace(
-                *(scene.objects, rig, scene.light, kept),
-                samples=scene.samples,
-                seed=seed,
-                on_progress=progress,
-            )
+    if scene.colour is None:
+        return trace(
+            *(scene.objects, scene.rigs[setting], scene.light, axes),
+            samples=scene.samples,
+            seed=seed,
+            on_progress=on_progress,
         )
-    return tuple(found)
+    bands: list[LightTransport] = []
+    scenes = [scene.in_band(band) for band in BANDS]
+    colour = scene.colour
+    lens = list(zip(colour.camera_scale, colour.projector_scale, colour.ambient, strict=True))
+    for k, one in enumerate(scenes):
+
+        def progress(part: float, done: int = k) -> None:
+            if on_progress:
+                on_progress((done + part) / len(scenes))
+
+        # Bands that nothing tells apart have one light.
+        twin = next(
+            (j for j in range(k) if lens[j] == lens[k] and scenes[j].objects == one.objects), None
+        )
+        bands.append(_traced(one, setting, axes, seed, progress) if twin is None else bands[twin])
+    return ColourTransport.of(bands, colour)
 
 
 def capture_stack(
@@ -91,8 +120,6 @@ def capture_stack(
     -------
     FocusStack
     """
-    from slbench.simulate.render.trace import trace
-
     alone = scene.focus is None
     sequence = scene.sequence if alone else with_lit_frame(scene.sequence)
     rigs, detector, exposure = scene.rigs, scene.detector, scene.exposure
@@ -101,11 +128,7 @@ def capture_stack(
     # The middle first: the others take its exposure.
     for k in sorted(range(len(rigs)), key=lambda k: k != len(rigs) // 2):
         if transports is None:
-            transport = trace(
-                *(scene.objects, rigs[k], scene.light, sequence.variations),
-                samples=scene.samples,
-                seed=seed,
-            )
+            transport = _traced(scene, k, sequence.variations, seed)
         else:
             transport = transports[k]
         if shutter is None:

@@ -49,10 +49,12 @@ _MOST_INT32 = np.iinfo(np.int32).max
 #: Version of the file layout; in the first, all columns are panel pixels, and columns and weights
 #: are stored as they are.
 _FORMAT = 2
+#: That of a file of three bands (:mod:`slbench.simulate.colour`).
+COLOUR = 3
 #: Bytes of a weight, each stored as an array: exponents deflate well, the last bits do not.
 _BYTES = tuple(f"data{k}" for k in range(4))
 #: What a file may hold of use.
-_ENTRIES = (
+ENTRIES = (
     *("format", "panel", "samples", "ambient"),
     *(
         f"{name}_{part}"
@@ -180,6 +182,10 @@ class LightTransport:
         """Return the radiance image of the fully lit panel, (V, U)."""
         marginal: Marginal = next(iter(self.marginals))
         return self._relight(np.ones((1, self._size(marginal))), marginal)[0]
+
+    def whites(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """Return what each channel sees of the fully lit and the dark panel: the only one."""
+        return [(self.white(), self.ambient)]
 
     def view_from_projector(self, camera_image: ArrayLike) -> NDArray[np.float64]:
         """Return ``T^T`` times a camera image: dual photography, needs "uv".
@@ -382,6 +388,10 @@ class LightTransport:
 
     def save(self, path: str | Path) -> None:
         """Write as ``.npz`` without pickles."""
+        write_npz(path, **self.arrays())
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return what is written, by the names of the entries."""
         arrays: dict[str, np.ndarray] = {
             "format": np.array(_FORMAT),
             "panel": np.array(self.panel),
@@ -401,7 +411,7 @@ class LightTransport:
                 arrays[f"{name}_spread"] = np.array([spread.diffraction_px, spread.blur_px])
                 parts = (rows.blurred.used, rows.blurred.first, rows.blurred.nodes)
                 arrays[f"{name}_levels"] = np.array(parts, np.uint32)
-        write_npz(path, **arrays)
+        return arrays
 
     @classmethod
     def load(cls, path: str | Path) -> LightTransport:
@@ -412,10 +422,21 @@ class LightTransport:
         InputError
             If the file is missing, corrupt, or inconsistent.
         """
-        arrays = read_npz(path, _ENTRIES)
+        return cls.of_arrays(read_npz(path, ENTRIES), path)
+
+    @classmethod
+    def of_arrays(cls, arrays: dict[str, NDArray[Any]], path: str | Path) -> LightTransport:
+        """Return what :meth:`arrays` gave; `path` is named in messages.
+
+        Raises
+        ------
+        InputError
+            As :meth:`load`.
+        """
         version = _checked(path, arrays, "format", "iu", 0)
         if int(version) not in (1, _FORMAT):
-            raise InputError(f"{path}: format", f"1 or {_FORMAT}", version)
+            colour = " (3 is in colour: ColourTransport.load)" if int(version) == COLOUR else ""
+            raise InputError(f"{path}: format", f"1 or {_FORMAT}{colour}", version)
         samples = int(_checked(path, arrays, "samples", "iu", 0))
         ambient = _checked(path, arrays, "ambient", "f", 2).astype(np.float32, copy=False)
         panel = _checked(path, arrays, "panel", "iu", 1)
@@ -448,7 +469,7 @@ class LightTransport:
             )
         if not marginals:
             raise InputError(path, "at least one of the marginals u, v, uv", "none")
-        return cls(marginals, ambient, (width, height), samples)
+        return LightTransport(marginals, ambient, (width, height), samples)
 
 
 def _checked(

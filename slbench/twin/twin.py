@@ -185,7 +185,7 @@ def make_twin(
     report = on_progress or (lambda stage, fraction: None)
     if capture.rig is None:
         raise InputError("twin", "a capture with its rig (--rig)", "none")
-    if capture.sequence.crosstalk is not None:
+    if capture.sequence.crosstalk is not None or capture.pictures is not None:
         raise InputError("twin", "grey frames", "colour pictures (crosstalk)")
     if not objects:
         raise InputError("twin: objects", "at least one", "none")

@@ -228,7 +228,7 @@ def scan_repeats(
 
 def _bound_px(given: PatternSet, shots: Capture, phase: PhaseMap, flat: NDArray[np.intp]) -> Array:
     """Return the Cramer-Rao bound of pixels (flat) along the first axis, px; NaN where none is."""
-    sequence, axis = given.sequence, given.sequence.axes[0]
+    sequence, axis = shots.sequence, given.sequence.axes[0]
     if sequence.variations != sequence.axes or not len(flat):
         return np.full(len(flat), np.nan)
     place = phase.coordinate[axis].ravel()[flat]

@@ -256,6 +256,9 @@ def load(
     if "focus" in scene:
         expected = "no focus settings (a sample has one light transport)"
         raise InputError(f"{path.name}: scene.focus", expected, "some")
+    if "colour" in scene:
+        expected = "no colour (a sample has the light transport of one band)"
+        raise InputError(f"{path.name}: scene.colour", expected, "some")
     for key in ("rig", "model", "covariance"):
         if key in scene.get("calibration", {}):
             expected = "std alone (a sample holds no file of another calibration)"

@@ -143,7 +143,7 @@ def _built(path: Path, scale: float) -> tuple[Mesh, dict[str, NDArray[np.int64]]
     merged, index, kept = _merged(vertices, faces, owner)
     if not kept.any():
         raise InputError(path, "a mesh with faces", "only faces without area")
-    corners = [_corners(parts, name, kept) for name in ("uv", "albedo", "normals")]
+    corners = [_corners(parts, name, kept) for name in ("uv", "albedo", "normals", "colours")]
     mesh = Mesh(merged * scale, index[kept], *corners)
     part_of = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])[kept]
     found = {part.name: np.flatnonzero(part_of == k) for k, part in enumerate(parts)}

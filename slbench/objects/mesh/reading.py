@@ -30,7 +30,7 @@ from slbench.core.errors import InputError
 from slbench.core.io.arrays import check_ply
 from slbench.core.io.bounds import check_size, check_unpacked
 from slbench.objects.artefact import BODY
-from slbench.objects.surface import Pixels, Surface
+from slbench.objects.surface import Coloured, Pixels, Surface
 
 #: Of files that are read; other archives are not, whatever is in them.
 SUFFIXES = (".stl", ".ply", ".obj", ".off", ".glb", ".gltf", ".step", ".stp", ".3mf")
@@ -64,6 +64,7 @@ class Part:
     uv: NDArray[np.float64] | None = None  #: (m, 3, 2)
     albedo: NDArray[np.float64] | None = None  #: (m, 3)
     normals: NDArray[np.float64] | None = None  #: (m, 3, 3)
+    colours: NDArray[np.float64] | None = None  #: (m, 3, 3)
     surface: Surface | None = None
 
 
@@ -235,15 +236,18 @@ def _part(name: str, mesh: Any, path: Path, linear: bool, content: Content) -> P
     picture, factor = look.picture, look.factor
     if picture is not None and colours is not None:
         content.leave("vertex colours beside a texture")
-    level, albedo = 1.0, None
+    level, albedo, coloured, colour = 1.0, None, None, None
     if picture is None and colours is not None:
         corners = colours if colours.shape[:2] == (len(faces), 3) else colours[faces]
-        albedo = np.clip(luminance(corners * (1.0 if factor is None else factor)), 0.0, 1.0)
+        coloured = corners * (1.0 if factor is None else factor)
+        albedo = np.clip(luminance(coloured), 0.0, 1.0)
+        coloured = np.clip(coloured, 0.0, 1.0)
     elif picture is None and factor is not None:
         level = float(np.clip(luminance(factor), 0.0, 1.0))
+        colour = tuple(np.clip(factor, 0.0, 1.0).tolist())
     stated = any(one is not None for one in (picture, albedo, factor, *look.maps))
     gloss = (look.metallic, look.roughness, look.normals)
-    surface = Surface(level, picture, albedo is not None, *gloss) if stated else None
+    surface = Surface(level, picture, albedo is not None, *gloss, colour) if stated else None
     return Part(
         name,
         vertices,
@@ -251,6 +255,7 @@ def _part(name: str, mesh: Any, path: Path, linear: bool, content: Content) -> P
         None if uv is None else np.asarray(uv, dtype=np.float64)[faces],
         albedo,
         None if normals is None else np.asarray(normals, dtype=np.float64)[faces],
+        coloured,
         surface,
     )
 
@@ -313,13 +318,17 @@ def _albedo_of(image: Any, factor: Any, path: Path, content: Content) -> Pixels 
     """Return the albedo (H, W) of a picture's pixels times a factor of red, green and blue."""
     if image is None:
         return None
-    weights = luminance(np.eye(3)) * (1.0 if factor is None else factor)
+    factors = [1.0] * 3 if factor is None else np.asarray(factor, np.float64).tolist()
+    weights = luminance(np.eye(3)) * factors
     key = (id(image), *weights)
     if key not in content.pictures:
         table = decode_srgb(np.arange(256) / 255.0)
         pixels = _pixels(image, path, content)
         found = sum(w * table[pixels[..., k]] for k, w in enumerate(weights))
-        content.pictures[key] = Pixels(np.clip(found, 0.0, 1.0))
+        colours = None
+        if any((pixels[..., k] != pixels[..., 0]).any() for k in (1, 2)) or np.ptp(factors):
+            colours = Coloured(pixels, True, (factors[0], factors[1], factors[2]))
+        content.pictures[key] = Pixels(np.clip(found, 0.0, 1.0), colours)
     return content.pictures[key]
 
 
@@ -371,12 +380,13 @@ def _placed(part: Part, matrix: NDArray[np.float64]) -> Part:
     linear, shift = matrix[:3, :3], matrix[:3, 3]
     mirrored = bool(np.linalg.det(linear) < 0)
     order = [2, 1, 0] if mirrored else [0, 1, 2]
-    uv, albedo, normals = (
+    uv, albedo, normals, colours = (
         None if corner is None else corner[:, order]
-        for corner in (part.uv, part.albedo, part.normals)
+        for corner in (part.uv, part.albedo, part.normals, part.colours)
     )
     if normals is not None:  # by the transpose of the inverse, as of planes
         normals = normals @ np.linalg.inv(linear)
         normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300)
     placed = part.vertices @ linear.T + shift
-    return Part(part.name, placed, part.faces[:, order], uv, albedo, normals, part.surface)
+    corners = (uv, albedo, normals, colours)
+    return Part(part.name, placed, part.faces[:, order], *corners, part.surface)

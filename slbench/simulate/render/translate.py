@@ -131,7 +131,6 @@ def shapes(objects: Iterable[SceneObject]) -> list[Shape]:
         mesh = item.artefact.mesh.transformed(item.pose.rotation, item.pose.position)
         for part, faces in item.artefact.parts.items():
             material = item.material_of(part)
-            at_vertices = any(isinstance(m, OfVertices) for m in material.bsdf.textures.values())
             found.append(
                 Shape(
                     f"object{k:03d}_{len(found):03d}",
@@ -140,11 +139,21 @@ def shapes(objects: Iterable[SceneObject]) -> list[Shape]:
                     mesh.faces[faces],
                     material,
                     _coordinates(item.artefact.mesh, faces, material),
-                    _known(mesh.albedo, faces) if at_vertices else None,
+                    _known(_at_vertices(mesh, material), faces),
                     _known(mesh.normals, faces),
                 )
             )
     return found
+
+
+def _at_vertices(mesh: Mesh, material: Material) -> NDArray[np.float64] | None:
+    """Return the values at the corners of a mesh's faces (m, 3) that a material has, if any."""
+    for texture in material.bsdf.textures.values():
+        if isinstance(texture, OfVertices):
+            if texture.band is None or mesh.colours is None:
+                return mesh.albedo
+            return mesh.colours[..., texture.band]
+    return None
 
 
 def _known(
@@ -312,6 +321,7 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
         With integrator ``path`` of the scene's number of bounces.
     """
     register()
+    _check_one_band(scene)
     picture = {
         "type": "bitmap",
         "bitmap": mi.Bitmap(_picture(scene.rig.projector, pattern)[..., None]),
@@ -352,6 +362,12 @@ def surroundings_dict(light: Light) -> dict[str, Any]:
     }
 
 
+def _check_one_band(scene: Scene) -> None:
+    if scene.colour is not None:
+        expected = 'one band of light: scene.in_band("green"), or a file without [colour]'
+        raise InputError(f"scene {scene.name}: colour", expected, "three")
+
+
 def _written(item: Any, folder: Path, stem: str, names: list[str]) -> Any:
     """Return a BSDF whose pictures are EXR files in a folder, and add their names."""
     if not isinstance(item, dict):
@@ -388,6 +404,7 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
         If a device needs a plugin that stock Mitsuba does not have, naming the reason.
     """
     register()
+    _check_one_band(scene)
     for device, name in ((scene.rig.camera, "camera"), (scene.rig.projector, "projector")):
         reasons = beyond_stock(device)
         if reasons:

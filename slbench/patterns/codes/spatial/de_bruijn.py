@@ -7,7 +7,9 @@ d = 1..7 being a De Bruijn sequence: any three edges in a row stand once on the 
 neighbours differ.  One colour picture so tells all stripes apart, where a Gray code needs a frame
 a bit.
 
-Frames are normalised by a white and a black one, n = (I - K) / (W - K).  An edge lies where n
+Frames are normalised by a white and a black one, n = (I - K) / (W - K); of three of each, as a
+white and a black picture in colour have them, each channel by its own, which takes the colour of
+the surface out.  An edge lies where n
 passes a half, between two pixels by a straight line (a tenth of a pixel off where the edge is as
 sharp as they are); the channels that turn over there are
 averaged.  An edge is believed where two of the three windows of three edges that it is in agree.
@@ -150,28 +152,32 @@ class DeBruijn(Code):
         if not (black and white):
             expected = "a white and a black frame, beside De Bruijn stripes"
             raise InputError(f"decode: parts[{placed.index}]", expected, "not both")
-        indices = [*placed.frames, white[0], black[0]]
+        own = min(len(white), len(black)) >= _CHANNELS
+        beside = (white, black) if own else (white[:1], black[:1])
+        indices = [*placed.frames, *(k for one in beside for k in one[:_CHANNELS])]
         frames = observed.pixels[indices].astype(np.float64).reshape(-1, *observed.shape)
         if code.axis == "v":
             frames = frames.transpose(0, 2, 1)
-        lit, dark = frames[_CHANNELS], frames[_CHANNELS + 1]
-        contrast = 0.5 * (lit - dark)
-        noise = np.sqrt(observed.noise.variance(np.nan_to_num(lit)))
+        whites, blacks = np.split(frames[_CHANNELS:], 2)
+        contrasts = 0.5 * (whites - blacks)
+        noise = np.sqrt(observed.noise.variance(np.nan_to_num(whites)))
+        good: Any = np.isfinite(frames).all(axis=0)
         with np.errstate(invalid="ignore"):
-            good = contrast >= np.maximum(observed.min_modulation, observed.min_snr * noise)
-            good &= np.isfinite(frames).all(axis=0) & (lit < observed.saturation)
-        place, sigma = np.full(lit.shape, np.nan), np.full(lit.shape, np.nan)
-        for row in range(len(lit)):
+            least = np.maximum(observed.min_modulation, observed.min_snr * noise)
+            good &= (contrasts >= least).all(axis=0) & (whites < observed.saturation).all(axis=0)
+        contrast, mean = contrasts.min(axis=0), 0.5 * (whites + blacks).mean(axis=0)
+        place, sigma = np.full(good.shape, np.nan), np.full(good.shape, np.nan)
+        for row in range(len(good)):
             variance = observed.noise.variance(frames[:, row])
             edges = _edges(frames[:, row], variance, good[row])
             _between(edges, code.stripe_px, place[row], sigma[row])
         size = extent(observed.panel, code.axis)
         mask = np.isfinite(place) & (place >= -0.5) & (place <= size - 0.5)
-        results = (place, sigma, contrast, 0.5 * (lit + dark), mask)
-        own: list[Any] = [(one.T if code.axis == "v" else one).ravel() for one in results]
+        results = (place, sigma, contrast, mean, mask)
+        flat: list[Any] = [(one.T if code.axis == "v" else one).ravel() for one in results]
         return {
             code.axis: Found(
-                coordinate=own[0], sigma=own[1], modulation=own[2], mean=own[3], mask=own[4]
+                coordinate=flat[0], sigma=flat[1], modulation=flat[2], mean=flat[3], mask=flat[4]
             )
         }
 
@@ -183,11 +189,12 @@ def _edges(
 
     Parameters
     ----------
-    frames, variance : (5, U) float64
-        The channels, white and black.
+    frames, variance : (5, U) or (9, U) float64
+        The channels, white and black, one for all channels or one each.
     good : (U,) bool
     """
-    white, black = frames[_CHANNELS], frames[_CHANNELS + 1]
+    own = len(frames) > _CHANNELS + 2
+    white, black = np.split(frames[_CHANNELS:], 2)
     span = np.where(good, white - black, 1.0)
     shown = np.where(good, (frames[:_CHANNELS] - black) / span, 0.0)
     bits = shown >= 0.5
@@ -212,15 +219,20 @@ def _edges(
     total = np.zeros(count)
     for side, weight in ((0, 1.0 - share), (1, share)):
         pixel = left + side
-        own = weight * steep / span[pixel]
-        total += np.bincount(number, own**2 * variance[channel, pixel], count)
+        slope = weight * steep / span[channel * own, pixel]
+        total += np.bincount(number, slope**2 * variance[channel, pixel], count)
+        n = shown[channel, pixel]
+        beside = variance[_CHANNELS:].reshape(2, -1, variance.shape[1])
+        if own:
+            parts = n**2 * beside[0, channel, pixel] + (1.0 - n) ** 2 * beside[1, channel, pixel]
+            total += np.bincount(number, slope**2 * parts, count)
+            continue
         # What white and black are off by, all channels of the edge share: pixels of an edge that
         # is spread over two of them are taken for one.
-        n = shown[channel, pixel]
         first = np.zeros(count, np.int64)
         first[number] = pixel
-        total += np.bincount(number, own * n, count) ** 2 * variance[_CHANNELS, first]
-        total += np.bincount(number, own * (1.0 - n), count) ** 2 * variance[_CHANNELS + 1, first]
+        total += np.bincount(number, slope * n, count) ** 2 * beside[0, 0, first]
+        total += np.bincount(number, slope * (1.0 - n), count) ** 2 * beside[1, 0, first]
     total /= channels**2
     total[np.bincount(number, np.abs(1.0 / steep) > _SHARP, count) > 0] += 1.0 / 12.0
     # A line is broken where a pixel is not good: windows do not reach over it.
