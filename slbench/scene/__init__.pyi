@@ -2,6 +2,7 @@
 
 from .environment import Environment as Environment
 from .environment import environment_of as environment_of
+from .colour import Colour as Colour
 from .file import load_scene as load_scene
 from .materials import Material as Material
 from .model import Exposure as Exposure

@@ -1,6 +1,7 @@
 """The public names of :mod:`slbench.simulate` and where they are defined."""
 
 from . import render as render
+from .colour import ColourTransport as ColourTransport
 from .expose import capture as capture
 from .expose import shutter_for as shutter_for
 from .folder import write_scan as write_scan
@@ -9,4 +10,5 @@ from .render.trace import trace as trace
 from .scan import Scan as Scan
 from .scan import score_scan as score_scan
 from .stack import capture_stack as capture_stack
+from .stack import traced as traced
 from .transport import LightTransport as LightTransport

@@ -30,6 +30,7 @@ from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
 from slbench.rig.optics.response import Response
 from slbench.scene.environment import environment_of
+from slbench.scene.colour import Colour
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 from slbench.scene.new.devices import Lenses
 from slbench.scene.new.place import Place
@@ -83,6 +84,7 @@ VALUES = [
     Capture(np.zeros((3, 48, 64), np.uint8), SEQUENCE),
     load_hardware("hardware/macro-ch6"),
     Exposure(),
+    Colour(),
     Light(),
     environment_of("window", irradiance_w_per_mm2=1e-5),
     Temperature(21.0, 0.1),
