@@ -1,8 +1,8 @@
 """The public names of :mod:`slbench.scene` and where they are defined."""
 
+from .colour import Colour as Colour
 from .environment import Environment as Environment
 from .environment import environment_of as environment_of
-from .colour import Colour as Colour
 from .file import load_scene as load_scene
 from .materials import Material as Material
 from .model import Exposure as Exposure

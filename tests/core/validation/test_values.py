@@ -29,8 +29,8 @@ from slbench.patterns.images import Images
 from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
 from slbench.rig.optics.response import Response
-from slbench.scene.environment import environment_of
 from slbench.scene.colour import Colour
+from slbench.scene.environment import environment_of
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 from slbench.scene.new.devices import Lenses
 from slbench.scene.new.place import Place
