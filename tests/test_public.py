@@ -122,6 +122,8 @@ def values(tmp_path_factory):
         sl.cloud.MeasuredCloud(flat_cloud(), scalars={"sigma": np.full(1200, 0.01)}),
         sl.open_dataset(write_dataset(tmp_path_factory.mktemp("small"))),
         sl.simulate.render.current(),
+        sl.scene.Colour(),
+        sl.simulate.ColourTransport.of([scan.transport] * 3, sl.scene.Colour()),
         small_twin(),
     ]
     return found

@@ -106,6 +106,11 @@ class Colour(Value):
                 expected = f"light of the projector that the {band} channel sees"
                 raise InputError("colour: response", expected, "none")
 
+    def __repr__(self) -> str:
+        rows = "; ".join(" ".join(f"{share:.3g}" for share in row) for row in self.crosstalk)
+        camera = "three sensors" if self.bayer is None else f"{self.bayer} mosaic, {self.demosaic}"
+        return f"<Colour, cross-talk [{rows}], {camera}, {self.channel} decoded>"
+
     @property
     def crosstalk(self) -> Crosstalk:
         """What camera channel i sees of the projector's primary j on a white surface, ``R P``."""
