@@ -1,5 +1,6 @@
 """Features and dimensions that a part's file declares: found on its mesh, or refused in a line."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -235,6 +236,27 @@ def test_a_certified_value_that_the_mesh_does_not_have_is_questioned(tmp_path):
     keys = 'type = "diameter"\nof = "bore"\nvalue_mm = 12.5\ntolerance_mm = 0.1'
     with pytest.warns(UserWarning, match=r"certified 12.5 mm, but the mesh has 11.99.* mm"):
         objects.load_artefact(write_part(tmp_path, HOLE + dimension(keys)))
+
+
+@pytest.mark.parametrize(
+    ("value", "tolerance", "questioned"),
+    [
+        # The mesh's bore has 12 mm but for its facets' 5 um: what a part has, less the certificate.
+        (11.95, [0.0, 0.1], False),
+        (12.05, [0.0, 0.1], True),
+        (12.05, [-0.1, 0.0], False),
+        (11.95, [-0.1, 0.0], True),
+        (11.95, [0.02, 0.03], True),
+        (12.05, [-0.2, 0.01], False),
+    ],
+)
+def test_a_tolerance_to_one_side_is_held_on_that_side(tmp_path, value, tolerance, questioned):
+    keys = f'type = "diameter"\nof = "bore"\nvalue_mm = {value}\ntolerance_mm = {tolerance}'
+    path = write_part(tmp_path, HOLE + dimension(keys))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        objects.load_artefact(path)
+    assert any("certified" in str(one.message) for one in caught) == questioned
 
 
 # -- what is refused ---------------------------------------------------------------------------

@@ -21,6 +21,8 @@ from slbench.objects.declared.tables import DimensionTable
 
 #: Without a tolerance, a certified value that is off the mesh by this share of it is questioned.
 _OFF = 0.01
+#: Facets and files in single precision leave so much of a mesh's own value open, as a share of it.
+_ROUNDING = 1e-5
 
 
 def declare_dimensions(
@@ -131,9 +133,14 @@ def _limits(
 def _check_value(
     value: float, own: float, limits: tuple[float | None, float | None], unit: str, place: str
 ) -> None:
-    off = value - own
-    allowed = max((abs(x) for x in limits if x is not None), default=_OFF * max(abs(own), 1e-9))
-    if abs(off) > allowed * (1.0 + 1e-9):
+    # Limits are of what a part has less what is certified, and the mesh is a part.
+    off, rounding = own - value, _ROUNDING * max(abs(own), 1e-9)
+    lower, upper = limits
+    if lower is None and upper is None:
+        upper = _OFF * max(abs(own), 1e-9)
+        lower = -upper
+    below = lower is not None and off < lower - rounding
+    if below or (upper is not None and off > upper + rounding):
         doubt = (
             f"certified {value:.6g} {unit}, but the mesh has {own:.6g} {unit}: another part, "
             "another unit, or features in another order?"
