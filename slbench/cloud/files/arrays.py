@@ -142,9 +142,9 @@ def _of_obj(path: Path, unit: str | None) -> MeasuredCloud:
     rows: dict[bytes, list[bytes]] = {b"v": [], b"vn": []}
     with path.open("rb") as stream:
         for line in stream:
-            kind, _, rest = line.partition(b" ")
-            if kind in rows:
-                rows[kind].append(rest)
+            words = line.split(None, 1)  # parted by blanks or tabs
+            if len(words) == 2 and words[0] in rows:
+                rows[words[0]].append(words[1])
     if not rows[b"v"]:
         raise InputError(path, "an OBJ file with vertices (v x y z)", "none")
     try:

@@ -79,22 +79,47 @@ def cloud_of(
     if missing := [axis for axis in "xyz" if axis not in named]:
         have = ", ".join(columns) or "none"
         raise InputError(source, "columns or properties x, y, z", f"{have} (no {missing[0]})")
-    written = stated.get("x")
-    if unit is not None and written is not None and unit != written:
-        raise InputError(source, f"coordinates in {written}, as the header says", f"--unit {unit}")
-    used = unit or written or usual
-    scale = MILLIMETRES[used]
-    points = np.stack([np.asarray(named.pop(axis), np.float64) for axis in "xyz"], axis=1)
+    used = _unit_of({axis: stated.get(axis) for axis in "xyz"}, source, unit, usual)
+    scale = MILLIMETRES[used["x"]]
+    several = len(set(used.values())) > 1
+    points = np.stack(
+        [MILLIMETRES[used[axis]] * np.asarray(named.pop(axis), np.float64) for axis in "xyz"],
+        axis=1,
+    )
     if "v" in named and "u" in named:  # pixels or texture coordinates, no uncertainty
         named["pixel_u"], named["pixel_v"] = named.pop("u"), named.pop("v")
     normals = _normals(named)
     grey = _grey(named)
     scalars = {}
     for name, values in named.items():
+        if several and name in LENGTHS and name not in stated:
+            expected = f"the unit of {name} in its name ({name}_mm), as coordinates have several"
+            raise InputError(source, expected, f"{name!r}")
         own_scale = MILLIMETRES[stated[name]] if name in stated else scale
         scalars[name] = np.asarray(values, np.float64) * (own_scale if name in LENGTHS else 1.0)
-    known = MeasuredCloud(points * scale, normals, grey, scalars, unit=used, source=str(source))
+    own_unit = "mm" if several else used["x"]
+    known = MeasuredCloud(points, normals, grey, scalars, unit=own_unit, source=str(source))
     return finite_cloud(known)
+
+
+def _unit_of(
+    stated: Mapping[str, str | None], source: object, unit: str | None, usual: str
+) -> dict[str, str]:
+    """Return the unit of each coordinate; what some state and others do not must be no other."""
+    written = [own for own in stated.values() if own is not None]
+    words = ", ".join(
+        f"{axis} in {own}" if own else f"{axis} in none" for axis, own in stated.items()
+    )
+    for own in written:
+        if unit is not None and unit != own:
+            said = own if len(set(written)) == 1 else words
+            raise InputError(source, f"coordinates in {said}, as the header says", f"--unit {unit}")
+    if len(written) == len(stated):
+        return {axis: own or usual for axis, own in stated.items()}
+    used = unit or usual
+    if any(own != used for own in written):
+        raise InputError(source, "a header that states the unit of x, y and z, or of none", words)
+    return dict.fromkeys(stated, used)
 
 
 def finite_cloud(cloud: MeasuredCloud) -> MeasuredCloud:

@@ -6,10 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slbench.cloud.files.columns import cloud_of
 from slbench.cloud.files.measured import MeasuredCloud
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.io.atomic import atomic_path, existing, native_writing
 
 #: The standard's unit of length.
@@ -25,6 +26,9 @@ _FIELDS = {
     "nor:normalY": "ny",
     "nor:normalZ": "nz",
 }
+
+_NORMALS = ("nor:normalX", "nor:normalY", "nor:normalZ")
+_INVALID = ("cartesianInvalidState", "sphericalInvalidState")
 
 
 def _library(path: object) -> Any:
@@ -56,26 +60,54 @@ def read_e57_cloud(path: Path, unit: str | None) -> MeasuredCloud:
         scans = []
         for k in range(file.scan_count):
             fields = file.get_header(k).point_fields
-            scans.append(
-                file.read_scan(
-                    k,
-                    intensity="intensity" in fields,
-                    colors="colorRed" in fields,
-                    ignore_missing_fields=True,
-                )
+            known = file.read_scan(
+                k,
+                intensity="intensity" in fields,
+                colors="colorRed" in fields,
+                ignore_missing_fields=True,
             )
+            scans.append(known | _extras(pye57, file, k))
         file.close()
     except Exception as error:  # of a C++ library, by whatever name
         raise InputError(path, "an E57 file", f"one that cannot be read ({error})") from None
     if not scans:
         raise InputError(path, "an E57 file with scans of points", "none")
     names = {f"cartesian{axis.upper()}": axis for axis in "xyz"} | _FIELDS
+    names |= {
+        name: name.partition(":")[2] for name in scans[0] if ":" in name and name not in names
+    }
     columns = {
         own: np.concatenate([scan[name] for scan in scans])
         for name, own in names.items()
         if all(name in scan for scan in scans)
     }
     return cloud_of(columns, path, unit, usual=UNIT)
+
+
+def _extras(pye57: Any, file: Any, scan: int) -> dict[str, NDArray[np.float64]]:
+    """Read what extensions of the format say of a scan's points, such as normals.
+
+    Names have the extension's prefix and a colon; normals are turned to the common frame.
+    """
+    header = file.get_header(scan)
+    extended = [name for name in header.point_fields if ":" in name]
+    if not extended:
+        return {}
+    invalid = [name for name in header.point_fields if name in _INVALID]
+    found = {name: np.empty(header.point_count) for name in (*extended, *invalid)}
+    buffers = pye57.libe57.VectorSourceDestBuffer()
+    for name, values in found.items():
+        own = (file.image_file, name, values, len(values), True, True)
+        buffers.append(pye57.libe57.SourceDestBuffer(*own))
+    header.points.reader(buffers).read()
+    valid = np.ones(header.point_count, np.bool_)
+    for name in invalid:
+        valid &= found.pop(name) == 0.0
+    found = {name: values[valid] for name, values in found.items()}
+    if all(name in found for name in _NORMALS) and header.has_pose():
+        turned = np.stack([found[name] for name in _NORMALS], axis=1) @ header.rotation_matrix.T
+        found |= dict(zip(_NORMALS, turned.T, strict=True))
+    return found
 
 
 def write_e57_cloud(path: Path, cloud: MeasuredCloud) -> None:
@@ -85,8 +117,16 @@ def write_e57_cloud(path: Path, cloud: MeasuredCloud) -> None:
     ------
     InputError
         If pye57 is not installed or the file cannot be written.
+
+    Warns
+    -----
+    InputWarning
+        Of normals and scalars, which pye57 does not write.
     """
     pye57 = _library(path)
+    lost = [*(["normals"] if cloud.normals is not None else []), *cloud.scalars]
+    if lost:
+        warn_user(path, f"{', '.join(lost)} left out: E57 holds points and grey here, .ply all")
     data = {f"cartesian{axis.upper()}": 1e-3 * cloud.points[:, k] for k, axis in enumerate("xyz")}
     if cloud.grey is not None:
         data["intensity"] = cloud.grey

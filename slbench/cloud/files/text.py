@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.cloud.files.columns import cloud_of
+from slbench.cloud.files.columns import cloud_of, plain_name
 from slbench.cloud.files.measured import MeasuredCloud
 from slbench.core.errors import InputError
 from slbench.core.io.text import read_text
@@ -20,8 +20,10 @@ _SPARE = "column{}"
 _NUMBER = re.compile(
     r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?|[+-]?(nan|inf(inity)?)", re.IGNORECASE
 )
+#: Exponents as Fortran writes those of double precision.
+_FORTRAN = re.compile(r"(?<=[\d.])[dD](?=[+-]?\d)")
 _COMMA = re.compile(r"(?<=\d),(?=\d)")
-_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+_DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eEdD][+-]?\d+)?")
 _COMMENTS = ("#", "//", "%", '"//')
 #: A first line of one number is that of points (PTS).
 _LEAST_COLUMNS = 3
@@ -61,12 +63,13 @@ def read_text_cloud(path: Path, unit: str | None) -> MeasuredCloud:
     if comma:
         body = _COMMA.sub(".", body)
         first = _COMMA.sub(".", first)
+    body = _FORTRAN.sub("e", body)
     try:
         table = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments=None)
     except ValueError as error:
         expected = f"{len(first.split(separator))} numbers in every line below line {skipped}"
         raise InputError(path, expected, _shortened(str(error))) from None
-    names = _names(header, table.shape[1]) or _guessed(table)
+    names = _names(header, table.shape[1], path) or _guessed(table, path.suffix.lower() == ".pts")
     return cloud_of(dict(zip(names, table.T, strict=True)), path, unit)
 
 
@@ -94,26 +97,46 @@ def _separator(line: str) -> tuple[str | None, bool]:
     return ",", False
 
 
-def _names(header: str | None, count: int) -> list[str] | None:
-    """Return the names of a header that has one for every column and names coordinates."""
+def _names(header: str | None, count: int, path: Path) -> list[str] | None:
+    """Return the names of a header that has one for every column and names coordinates.
+
+    Of other columns that share a name the first keeps it.
+    """
     if header is None:
         return None
     bare = header.lstrip("#%/ ").strip()
     for separator in (",", ";", "\t", None):
         names = [name.strip().strip('"') for name in bare.split(separator)]
         names = names[:-1] if names and not names[-1] else names
-        if len(names) == count and len(set(names)) == count:
+        if len(names) == count:
             starts = [name.lstrip("/").lower()[:1] for name in names[:_LEAST_COLUMNS]]
             if "x" in starts or any(name.lower().startswith("x") for name in names):
-                return names
+                return _different(names, path)
     return None
 
 
-def _guessed(table: NDArray[np.float64]) -> list[str]:
-    """Return names for columns without a header."""
+def _different(names: list[str], path: Path) -> list[str]:
+    """Return names of columns, each once; coordinates that share one are refused."""
+    found: list[str] = []
+    for name in names:
+        if name in found:
+            if plain_name(name)[0] in ("x", "y", "z"):
+                raise InputError(
+                    path, "a header that names each coordinate once", f"{name!r} twice"
+                )
+            name = f"{name} ({1 + names[: len(found)].count(name)})"
+        found.append(name)
+    return found
+
+
+def _guessed(table: NDArray[np.float64], scanned: bool) -> list[str]:
+    """Return names for columns without a header; those of a scanner's PTS have an intensity."""
     count = table.shape[1]
     names = ["x", "y", "z", *(_SPARE.format(k + 1) for k in range(3, count))]
-    for first in (3, 4):  # after the coordinates, or after an intensity too
+    if scanned and count in (4, 7):
+        names[3] = "intensity"
+    # After the coordinates, or after an intensity too.
+    for first in (4,) if names[3:4] == ["intensity"] else (3, 4):
         if count < first + 3:
             break
         own = table[: 1 << 16, first : first + 3]

@@ -11,7 +11,7 @@ import trimesh
 
 import slbench as sl
 from slbench.cloud import MeasuredCloud, write_cloud
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
 from slbench.core.io import read_ply, write_exr, write_npz, write_ply
 from slbench.core.io.arrays import read_vertices
 
@@ -211,6 +211,75 @@ def test_a_unit_that_the_header_contradicts_is_refused(tmp_path):
         sl.read_cloud(tmp_path / "a.csv", "furlong")
 
 
+@pytest.mark.parametrize(
+    ("header", "unit", "expected"),
+    [
+        ("x_um,y_um,z_um", None, (1e-3, 2e-3, 3e-3)),
+        # Profilers state heights in another unit than places.
+        ("x_mm,y_mm,z_um", None, (1.0, 2.0, 3e-3)),
+        ("x,y,z [mm]", None, (1.0, 2.0, 3.0)),
+        ("x,y,z_um", "um", (1e-3, 2e-3, 3e-3)),
+    ],
+)
+def test_the_unit_of_each_coordinate_is_read(tmp_path, header, unit, expected):
+    (tmp_path / "a.csv").write_text(f"{header}\n1,2,3\n4,5,6\n")
+    np.testing.assert_allclose(sl.read_cloud(tmp_path / "a.csv", unit).points[0], expected)
+
+
+@pytest.mark.parametrize(
+    ("header", "unit", "words"),
+    [
+        ("x,y,z_um", None, "x in none, y in none, z in um"),
+        ("x,y,z_um", "mm", "coordinates in um"),
+        ("x_mm,y_mm,z_um", "mm", "z in um"),
+        ("x_mm,y_mm,z_um,sigma", None, "sigma_mm"),
+    ],
+)
+def test_units_that_leave_a_coordinate_open_are_refused(tmp_path, header, unit, words):
+    more = ",0.1" if "sigma" in header else ""
+    (tmp_path / "a.csv").write_text(f"{header}\n1,2,3{more}\n4,5,6{more}\n")
+    with pytest.raises(InputError, match=words):
+        sl.read_cloud(tmp_path / "a.csv", unit)
+
+
+def test_exponents_of_fortran_are_read(tmp_path):
+    (tmp_path / "a.xyz").write_text("1.0D+00 2.5d-01 3D1\n4.0D+00 5.0D+00 6.0D+00\n")
+    assert sl.read_cloud(tmp_path / "a.xyz").points.tolist() == [[1.0, 0.25, 30.0], [4.0, 5.0, 6.0]]
+    (tmp_path / "a.txt").write_text("1,0D+00;2,5d-01;3,0D1\n4,0D+00;5,0D+00;6,0D+00\n")
+    assert sl.read_cloud(tmp_path / "a.txt").points[0].tolist() == [1.0, 0.25, 30.0]
+
+
+def test_a_scanners_pts_has_an_intensity_before_its_colours(tmp_path):
+    (tmp_path / "a.pts").write_text("2\n1 2 3 100 10 20 30\n4 5 6 200 40 50 60\n")
+    cloud = sl.read_cloud(tmp_path / "a.pts")
+    assert cloud.grey.tolist() == [100.0, 200.0]
+    assert not cloud.scalars
+    (tmp_path / "a.pts").write_text("2\n1 2 3 -812 10 20 30\n4 5 6 1034 40 50 60\n")
+    cloud = sl.read_cloud(tmp_path / "a.pts")
+    assert cloud.grey.tolist() == [-812.0, 1034.0]
+    assert not cloud.scalars
+
+
+def test_columns_of_one_name_do_not_hide_the_header(tmp_path):
+    (tmp_path / "a.csv").write_text("z_um,y_um,x_um,flag,flag\n1,2,3,7,8\n4,5,6,7,8\n")
+    cloud = sl.read_cloud(tmp_path / "a.csv")
+    np.testing.assert_allclose(cloud.points[0], [3e-3, 2e-3, 1e-3])
+    assert {name: values[0] for name, values in cloud.scalars.items()} == {
+        "flag": 7.0,
+        "flag (2)": 8.0,
+    }
+    (tmp_path / "a.csv").write_text("x,y,z,x\n1,2,3,7\n4,5,6,7\n")
+    with pytest.raises(InputError, match="'x' twice"):
+        sl.read_cloud(tmp_path / "a.csv")
+
+
+def test_tabs_part_the_words_of_an_obj_too(tmp_path):
+    (tmp_path / "a.obj").write_text("v\t1\t2\t3\nvn\t0 0 1\nv  4 5 6\nvn 0 0 1\n")
+    cloud = sl.read_cloud(tmp_path / "a.obj")
+    assert cloud.points.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+    assert cloud.normals.tolist() == [[0.0, 0.0, 1.0]] * 2
+
+
 def test_a_folder_stands_for_its_cloud(tmp_path):
     with pytest.raises(InputError, match=r"cloud\.ply"):
         sl.read_cloud(tmp_path)
@@ -220,11 +289,56 @@ def test_a_folder_stands_for_its_cloud(tmp_path):
 
 def test_e57_is_written_and_read_in_metres(tmp_path):
     pytest.importorskip("pye57", reason="the extra e57 is not installed")
-    write_cloud(tmp_path / "a.e57", CLOUD)
+    with pytest.warns(InputWarning, match=r"normals, sigma left out.*\.ply"):
+        write_cloud(tmp_path / "a.e57", CLOUD)
     back = sl.read_cloud(tmp_path / "a.e57")
     same(back, POINTS, SINGLE)  # pye57 writes no other
     np.testing.assert_allclose(back.grey, GREY, rtol=1e-6)
     same(sl.read_cloud(tmp_path / "a.e57", "mm"), 1e-3 * POINTS, 1e-3 * SINGLE)
+
+
+def write_extended_e57(path, states, turn):
+    """Write points in e57 with the extension of normals, and one of nobody's; some are invalid."""
+    pye57 = pytest.importorskip("pye57", reason="the extra e57 is not installed")
+    lib = pye57.libe57
+    file = pye57.E57(str(path), mode="w")
+    image = file.image_file
+    image.extensionsAdd("nor", "http://www.libe57.org/E57_EXT_surface_normals.txt")
+    image.extensionsAdd("own", "http://example.org/own")
+    names = [f"cartesian{axis}" for axis in "XYZ"] + [f"nor:normal{axis}" for axis in "XYZ"]
+    values = [*(1e-3 * POINTS.T), *NORMALS.T, CLOUD.scalars["sigma"], states]
+    names += ["own:quality", "cartesianInvalidState"]
+    prototype, buffers = lib.StructureNode(image), lib.VectorSourceDestBuffer()
+    arrays = [np.ascontiguousarray(own, np.float64) for own in values]
+    for name, own in zip(names, arrays, strict=True):
+        whole = name == "cartesianInvalidState"
+        node = lib.IntegerNode(image, 0, 0, 2) if whole else lib.FloatNode(image, 0.0)
+        prototype.set(name, node)
+        buffers.append(lib.SourceDestBuffer(image, name, own, len(own), True, True))
+    points = lib.CompressedVectorNode(image, prototype, lib.VectorNode(image, True))
+    scan, pose = lib.StructureNode(image), lib.StructureNode(image)
+    scan.set("guid", lib.StringNode(image, "{own}"))
+    scan.set("points", points)
+    scan.set("pose", pose)
+    for part, keys, own in (("rotation", "wxyz", turn), ("translation", "xyz", (0.0, 0.0, 0.1))):
+        table = lib.StructureNode(image)
+        for key, value in zip(keys, own, strict=True):
+            table.set(key, lib.FloatNode(image, float(value)))
+        pose.set(part, table)
+    file.data3d.append(scan)
+    points.writer(buffers).write(len(POINTS))
+    file.close()
+
+
+def test_what_extensions_of_e57_say_of_points_is_read(tmp_path):
+    states = (np.arange(40) % 5 == 0).astype(np.float64)
+    half = np.sqrt(0.5)  # a quarter turn about z
+    write_extended_e57(tmp_path / "a.e57", states, (half, 0.0, 0.0, half))
+    back, kept = sl.read_cloud(tmp_path / "a.e57"), states == 0.0
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    same(back, POINTS[kept] @ turn.T + [0.0, 0.0, 100.0], 1e-9)
+    np.testing.assert_allclose(back.normals, NORMALS[kept] @ turn.T, atol=1e-12)
+    np.testing.assert_allclose(back.scalars["quality"], CLOUD.scalars["sigma"][kept])
 
 
 def test_e57_without_its_extra_is_one_line_that_names_it(tmp_path, monkeypatch):
