@@ -170,6 +170,8 @@ def score_panel(
     cloud = triangulate(against.rig, phase)
     if not len(cloud):
         raise InputError(source, "a panel map whose rays meet", "no point")
+    if against.motion is not None:  # the truth is held against points that were moved to it
+        cloud = cloud.moved(against.motion)
     scalars = {"sigma": cloud.sigma_total_mm, "u": cloud.u_total_mm} if known else {}
     measured = MeasuredCloud(cloud.points, scalars=scalars, source=source)
     return _scored(measured, cloud, phase, point_errors(cloud, against.truth), against, expected_um)
