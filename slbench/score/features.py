@@ -42,6 +42,7 @@ def fit_features(
     rig: Rig | None = None,
     smooth: NDArray[np.bool_] | None = None,
     level: bool = False,
+    stripes: bool = False,
 ) -> list[FeatureScore]:
     """Fit an artefact's features to measured points; no ground truth needed.
 
@@ -63,6 +64,9 @@ def fit_features(
     level : bool
         Whether steps are the distances of parallel planes instead of heights along the object's z:
         for a pose that was found by the points themselves (:mod:`slbench.score.levels`).
+    stripes : bool
+        Without `lines`: whether errors go together along stripes across each feature
+        (:func:`slbench.score.residuals.stripes_of`), as those of real clouds do.
 
     Returns
     -------
@@ -71,25 +75,30 @@ def fit_features(
         declares.  Features with fewer than 20 points are left out.  Points further than six robust
         standard deviations from the rest take no part in a fit; they do count as form.
     """
-    edges = Marked(points, pose.to_local(points), lines)
+    edges = Marked(points, pose.to_local(points), lines, stripes)
     inner = edges if smooth is None else edges.of(np.flatnonzero(smooth))
     points, local = inner.points, inner.local
-    labels = np.arange(len(local)) if inner.lines is None else inner.lines
     found: list[FeatureScore] = []
     planes: dict[str, _Plane] = {}
     flat: dict[str, NDArray[np.intp]] = {}
+    labels: dict[str, NDArray[np.integer]] = {}
     for face in artefact.planes:
         over = points_over(artefact, face, local)
         if len(over) >= MIN_POINTS:
-            planes[face.name] = _Plane.fit(face, local[over], labels[over])
-            flat[face.name] = over[planes[face.name].inliers]
+            own = inner.labels(over)
+            plane = planes[face.name] = _Plane.fit(face, local[over], own)
+            flat[face.name] = over[plane.inliers]
+            # Stripes are each face's own, image lines go on from face to face.
+            before = sum(len(one) for one in labels.values()) if inner.lines is None else 0
+            labels[face.name] = own[plane.inliers] + before
             found.append(planes[face.name].flatness(artefact.name))
     base = planes.get(REFERENCE)
     if base is not None:
         steps = [plane.step(artefact.name, base) for plane in planes.values()]
         if level:
-            own = [local[over] for over in flat.values()], [labels[over] for over in flat.values()]
-            heights, variances = parallel_heights(*own, list(planes).index(REFERENCE))
+            faces = [local[over] for over in flat.values()]
+            of = list(labels.values()), list(planes).index(REFERENCE)
+            heights, variances = parallel_heights(faces, *of)
             steps = [
                 replace(step, measured_mm=float(height), uncertainty_mm=float(np.sqrt(variance)))
                 for step, height, variance in zip(steps, heights, variances, strict=True)
@@ -103,7 +112,7 @@ def fit_features(
             normals = product(outward, pose.rotation.T)
             near = near[facing(rig, points[near], normals, MAX_INCIDENCE)]
         if len(near) >= MIN_POINTS:
-            balls.append(_Ball.fit(sphere, local[near], labels[near]))
+            balls.append(_Ball.fit(sphere, local[near], inner.labels(near)))
     found += [ball.score(artefact.name) for ball in balls]
     found += [a.spacing(artefact.name, b) for a, b in itertools.combinations(balls, 2)]
     return found + fit_surfaces(artefact, inner, edges, pose, rig)

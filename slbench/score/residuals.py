@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.rig import Rig
+from slbench.rig.pose import product
 
 Array = NDArray[np.float64]
 
@@ -13,6 +14,8 @@ Array = NDArray[np.float64]
 SET_ASIDE = 0.003
 #: Fewer points than this carry no feature.
 MIN_POINTS = 20
+#: Stripes of a feature, at least and at most.
+_FEWEST_STRIPES, _MOST_STRIPES = 12, 400
 
 
 def facing(rig: Rig, points: Array, normals: Array, furthest: float) -> NDArray[np.bool_]:
@@ -37,6 +40,20 @@ def facing(rig: Rig, points: Array, normals: Array, furthest: float) -> NDArray[
         lengths = np.linalg.norm(toward, axis=-1) * np.linalg.norm(normals, axis=-1)
         kept &= np.sum(toward * normals, axis=-1) > np.cos(furthest) * lengths
     return kept
+
+
+def stripes_of(points: Array) -> NDArray[np.intp]:
+    """Return the stripe of each point (N, 3), across their longest axis and about as wide as long.
+
+    For clouds whose image lines are not known: errors go together within a stripe, and from one to
+    the next (:func:`~slbench.cloud.fits.covariance.along_lines`).  A stripe has about as many
+    points as there are stripes; there are twelve of them at least.
+    """
+    off = points - points.mean(axis=0)
+    along = product(off, np.linalg.eigh(off.T @ off)[1][:, -1])
+    count = min(max(round(np.sqrt(len(points))), _FEWEST_STRIPES), _MOST_STRIPES)
+    width = max(float(np.ptp(along)), 1e-300)
+    return np.minimum((count * (along - along.min()) / width).astype(np.intp), count - 1)
 
 
 def spread(residuals: Array, fitted: int) -> float:

@@ -15,7 +15,7 @@ from slbench.rig import Pose, Rig
 from slbench.rig.pose import product
 from slbench.score.dimensions import Measured, measure_dimension
 from slbench.score.edges import edge_points
-from slbench.score.residuals import MIN_POINTS, facing, trimmed_range
+from slbench.score.residuals import MIN_POINTS, facing, stripes_of, trimmed_range
 from slbench.score.values import (
     CircleScore,
     ConeScore,
@@ -36,16 +36,26 @@ _UNTOLD = 0.1
 
 @dataclass(frozen=True)
 class Marked:
-    """Points (N, 3) in the world and in the object's frame, with their image lines (N,)."""
+    """Points (N, 3) in the world and in the object's frame, with their image lines (N,).
+
+    Without lines, `stripes` says whether errors go together along stripes of each feature.
+    """
 
     points: Array
     local: Array
     lines: NDArray[np.integer] | None = None
+    stripes: bool = False
 
     def of(self, chosen: NDArray[np.intp]) -> Marked:
         """Return some of them."""
         lines = None if self.lines is None else np.asarray(self.lines)[chosen]
-        return Marked(self.points[chosen], self.local[chosen], lines)
+        return Marked(self.points[chosen], self.local[chosen], lines, self.stripes)
+
+    def labels(self, chosen: NDArray[np.intp]) -> NDArray[np.integer]:
+        """Return what points of a feature are alike by: line, stripe, or each its own."""
+        if self.lines is not None:
+            return np.asarray(self.lines)[chosen]
+        return stripes_of(self.local[chosen]) if self.stripes else np.arange(len(chosen))
 
 
 def fit_surfaces(
@@ -95,7 +105,7 @@ def _measured(
         near = near[facing(rig, marked.points[near], normals, MAX_WALL_INCIDENCE)]
     if len(near) < MIN_POINTS:
         return None
-    points, lines = marked.local[near], None if marked.lines is None else marked.lines[near]
+    points, lines = marked.local[near], marked.labels(near)
     spacing = 0.0
     count = len(points)
     if surface.kind == "circle":
@@ -103,7 +113,7 @@ def _measured(
         if told is None:
             return None
         points, spacing = told
-        lines = None
+        lines = np.arange(len(points))
     nominal = surface.element
     try:
         fit = fit_element(surface.kind, points, start=nominal, lines=lines, at=nominal.point)

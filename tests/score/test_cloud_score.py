@@ -97,6 +97,13 @@ def test_a_scan_that_was_aligned_has_its_own_score(tmp_path):
         # Single precision of the file, by a slope over some 40 mm.
         assert again.measured_mm == pytest.approx(own.measured_mm, abs=5e-4)
         assert again.uncertainty_mm == pytest.approx(own.uncertainty_mm, rel=0.05)
+    write_npz(tmp_path / "panel.npz", u=made.phase.coordinate["u"])
+    panel = sl.score_cloud(tmp_path / "panel.npz", truth=tmp_path / "scan").score
+    # In the scan's frame before it was aligned the points would be some 0.1 mm off.
+    assert panel.rms_mm == pytest.approx(made.score.rms_mm, rel=1e-3)
+    assert [s.measured_mm for s in panel.steps] == pytest.approx(
+        [s.measured_mm for s in made.score.steps], abs=5e-4
+    )
 
 
 def test_the_order_of_points_does_not_matter(scanned):

@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 from slbench import objects
 from slbench.cloud.files.measured import MeasuredCloud
 from slbench.objects import Dimension
+from slbench.objects.declared.declare import declare_features
+from slbench.objects.declared.tables import FeatureTable, GrowTable
 from slbench.rig import Pose
 from slbench.score.clouds.against_part import score_against_part
 from slbench.score.features import fit_features
@@ -222,6 +224,32 @@ def test_a_cloud_of_any_origin_is_measured_alike():
     told = dict(zip(*(np.array(result.verdicts().rows, object).T[k] for k in (0, -1)), strict=True))
     assert told["pin height"] == "within"
     assert any(row[0] == "diameter pin" for row in result.features().rows)
+
+
+def test_faces_across_any_axis_have_an_uncertainty():
+    """Two ends of the plate, along x: no stripe along x parts their points."""
+    tables = [
+        FeatureTable(name=name, type="plane", grow=GrowTable(from_mm=(x, 0.0, -6.0)))
+        for name, x in (("left", -40.0), ("right", 40.0))
+    ]
+    ends = declare_features(tables, PLATE.mesh, dict, [], "test")
+    length = Dimension("length", "distance", ("left", "right"), 80.0)
+    part = dataclasses.replace(PLATE, declared=ends, dimensions=(length,))
+    rng = np.random.default_rng(12)
+    off, told = [], []
+    for _ in range(40):
+        y, z = rng.uniform(-30.0, 30.0, 2000), rng.uniform(-12.0, 0.0, 2000)
+        side = np.where(np.arange(2000) < 1000, -40.0, 40.0)
+        # Errors go together over 6 mm along y, another draw for each end.
+        waves = rng.normal(0.0, 0.01, (2, 10))[(side > 0.0).astype(int), (y // 6.0).astype(int) + 5]
+        x = side + waves + rng.normal(0.0, 0.005, 2000)
+        cloud = MeasuredCloud(np.column_stack((x, y, z)))
+        one = score_against_part(cloud, part, placed=True).score.dimensions[0]
+        off.append(one.deviation)
+        told.append(one.uncertainty)
+    assert np.isfinite(told).all()
+    # A deviation of 40 draws is good to 11 %: three times that, and t of few frequencies widens.
+    assert 0.7 < np.sqrt(np.mean(np.square(told))) / np.std(off) < 2.0
 
 
 # -- edges -------------------------------------------------------------------------------------

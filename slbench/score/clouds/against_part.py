@@ -43,8 +43,6 @@ _OUTLIER = 6.0
 #: Places on the surface that are asked whether a point is near, cells of the part along its size,
 #: and spacings of the points that a cell has at least.
 _PLACES, _CELLS, _SPACINGS = 20_000, 200, 3.0
-#: Lines along which errors go together, across a cloud whose pixels are not known.
-_LINES = 400
 
 
 def score_against_part(
@@ -114,14 +112,17 @@ def score_against_part(
     on = np.isfinite(away)
     errors = cloud.points[on] - near.point[on]
     tiles = tiles_of(cloud.points[on])
-    lines = _lines(cloud, on, part)
+    lines = None if cloud.pixels is None else cloud.pixels[on, 0]
     inner = inner_points(cloud.points[on], part)
     features = fit_features(
-        cloud.points[on], part, Pose(), lines, smooth=inner.mask, level=motion is not None
+        *(cloud.points[on], part, Pose(), lines),
+        smooth=inner.mask,
+        level=motion is not None,
+        stripes=True,
     )
-    found = _score(cloud, near.distance, errors, surface, features)
+    numbers = _score(cloud, near.distance, errors, surface, features)
     return CloudScore(
-        score=found,
+        score=numbers,
         reference="mesh" if part.kind == "mesh" else "artefact",
         name=part.name,
         source=cloud.source,
@@ -134,7 +135,7 @@ def score_against_part(
         dropped=cloud.dropped,
         background=int(np.count_nonzero(other)),
         near_edges=inner.left_out,
-        unmeasured=unmeasured(part, found, inner.reason),
+        unmeasured=unmeasured(part, numbers, inner.reason),
         motion=motion,
         free=free,
     )
@@ -161,14 +162,6 @@ def _on_plane(points: Array, eye: Array | None) -> Pose:
     axes = np.linalg.svd(own[:: max(1, len(own) // 100_000)] - middle, full_matrices=False)[2]
     up = axes[2] if eye is None or axes[2] @ eye > 0.0 else -axes[2]
     return Pose(np.stack((axes[0], np.cross(up, axes[0]), up), axis=1), middle)
-
-
-def _lines(cloud: MeasuredCloud, on: NDArray[np.bool_], part: Artefact) -> NDArray[np.integer]:
-    """Return the line of each point: its image's column, or a stripe across the part."""
-    if cloud.pixels is not None:
-        return cloud.pixels[on, 0]
-    low, high = part.mesh.bounds[:, 0]
-    return np.floor(_LINES * (cloud.points[on, 0] - low) / max(high - low, 1e-300)).astype(np.int64)
 
 
 def _score(

@@ -23,6 +23,7 @@ from slbench.score.features import points_near, points_over
 from slbench.score.residuals import MIN_POINTS
 
 Array = NDArray[np.float64]
+Chosen = NDArray[np.intp]
 
 #: Spacings from the middle of the window to its sides, and how far the mean of the points in it may
 #: be from the middle, as a share of that: a straight edge is left out by half a window.
@@ -80,7 +81,7 @@ def inner_points(points: Array, part: Artefact) -> Inner:
     """
     inner = Inner(np.ones(len(points), np.bool_))
 
-    def leave_out(name: str, own: NDArray[np.intp], element: Element, around: Array) -> None:
+    def leave_out(name: str, own: Chosen, element: Element, around: Chosen) -> None:
         if len(own) < MIN_POINTS:
             inner.counts[name] = (len(own), 0)
             return
@@ -93,12 +94,13 @@ def inner_points(points: Array, part: Artefact) -> Inner:
 
     for face in part.planes:
         own = points_over(part, face, points)
-        plane = Plane([np.mean(face.x_mm), np.mean(face.y_mm), face.z_mm])
+        plane = Plane(np.array([np.mean(face.x_mm), np.mean(face.y_mm), face.z_mm]))
         leave_out(face.name, own, plane, points_over(part, face, points, everywhere=True))
     for ball in part.spheres:
         own = points_near(ball, points)
-        towards = points[own].mean(axis=0) - np.array(ball.centre_mm) if len(own) else [0, 0, 1]
-        leave_out(ball.name, own, Sphere(ball.centre_mm, towards, ball.radius_mm), own)
+        centre = np.array(ball.centre_mm)
+        seen = points[own].mean(axis=0) - centre if len(own) else np.array([0.0, 0.0, 1.0])
+        leave_out(ball.name, own, Sphere(centre, seen, ball.radius_mm), own)
     for surface in part.declared:
         if surface.kind != "circle":
             around = _around(surface, points)
@@ -106,7 +108,7 @@ def inner_points(points: Array, part: Artefact) -> Inner:
     return inner
 
 
-def _around(surface: SurfaceFeature, points: Array) -> NDArray[np.intp]:
+def _around(surface: SurfaceFeature, points: Array) -> Chosen:
     """Return the indices of points on all of a feature's faces, beyond margin and region too."""
     import shapely
 
