@@ -166,7 +166,8 @@ def environment_of(
     turn = np.deg2rad(rotation_deg)
     c, s = float(np.cos(turn)), float(np.sin(turn))
     axes = np.asarray(place, dtype=np.float64) @ [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
-    return Environment(Radiance(values), tuple(map(tuple, axes.tolist())))
+    x, y, z = ((float(a), float(b), float(c)) for a, b, c in axes)
+    return Environment(Radiance(values), (x, y, z))
 
 
 def drawn(name: str) -> Array:

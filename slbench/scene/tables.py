@@ -214,9 +214,9 @@ class EnvironmentTable(Parameters):
 
     def environment(self, folder: Path, place: Pose) -> Environment:
         """Return the map, ahead along x and up along z of a place; its file is in a folder."""
-        stated = self.irradiance_w_per_m2
+        stated, source = self.irradiance_w_per_m2, self.map or Path()  # one of them, by _one_way
         return environment_of(
-            self.map if self.file is None else resources.inside(folder, self.file),
+            source if self.file is None else resources.inside(folder, self.file),
             irradiance_w_per_mm2=None if stated is None else stated * 1e-6,
             scale=1.0 if self.scale is None else self.scale,
             rotation_deg=self.rotation_deg,

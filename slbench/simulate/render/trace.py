@@ -158,7 +158,9 @@ class _Tracer:
         self.seed = int(derived_seed(seed, 0)) & 0xFFFFFFFF
         self.bounces = light.bounces
         self.ambient = light.ambient_w_per_mm2 / np.pi
-        self.around = light.environment and mi.load_dict(surroundings_dict(light))
+        self.around: Any = None
+        if light.environment is not None:
+            self.around = mi.load_dict(surroundings_dict(light))
         self.camera = PanelOptics(rig.camera)
         self.projector = PanelOptics(rig.projector)
         self.camera_to_world = opaque_transform(pose_matrix(rig.camera.pose))
