@@ -15,7 +15,7 @@ from slbench.datasets.make.tasks import FILES, RUN, STAGING, rows_name
 from slbench.datasets.manifest import MANIFEST, Manifest, described
 from slbench.datasets.spec.specification import from_dict
 from slbench.datasets.store import index
-from slbench.datasets.store.sample import REQUIRED, unpack
+from slbench.datasets.store.sample import INSTANCES, REQUIRED, unpack
 from slbench.datasets.store.shards import END, digest, shard_name
 from slbench.datasets.store.storage import Storage
 
@@ -178,7 +178,10 @@ def _contents(manifest: Manifest, row: Mapping[str, Any], content: bytes) -> Ite
     """Yield what is wrong with a sample whose bytes are as they were written."""
     try:
         members = unpack(row["sample"], content, "members")
-        missing = [name for name in REQUIRED if name not in members]
+        stated = manifest.specification
+        masked = stated.get("instances", "clutter" in stated)
+        required = (*REQUIRED, INSTANCES) if masked else REQUIRED
+        missing = [name for name in required if name not in members]
         for prefix in manifest.captures:
             name = f"{prefix}.capture.toml"
             frames = tomllib.loads(members[name].decode())["frames"] if name in members else []

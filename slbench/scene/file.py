@@ -478,7 +478,7 @@ def _object(
         rotation = Rotation.from_euler("XYZ", values.rotation_deg, degrees=True).as_matrix()
     pose = Pose(rotation, np.array(values.position_mm))
     with located(where):
-        return SceneObject(artefact, pose, material, by_part)
+        return SceneObject(artefact, pose, material, by_part, values.distractor)
 
 
 def _material(own: Mapping[str, Material], name: str, where: str) -> Material:

@@ -57,12 +57,15 @@ class SceneObject(Value):
     materials : mapping of str to Material
         By part of the artefact; :func:`slbench.scene.materials.own_materials` are those of its
         mesh file.
+    distractor : bool
+        Whether it is not of interest: data sets annotate the others.
     """
 
     artefact: Artefact
     pose: Pose = field(default_factory=Pose)
     material: Material = field(default_factory=Material)
     materials: Mapping[str, Material] = field(default_factory=dict)
+    distractor: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

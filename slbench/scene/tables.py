@@ -173,6 +173,7 @@ class ObjectTable(Parameters):
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     material: str | None = None
     materials: dict[str, str] = Field(default_factory=dict)
+    distractor: bool = False
 
     @model_validator(mode="after")
     def _one_shape(self) -> ObjectTable:

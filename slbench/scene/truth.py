@@ -124,6 +124,11 @@ class GroundTruth:
         smooth[1:-1, 1:-1] = core
         return smooth
 
+    @property
+    def instances(self) -> NDArray[np.uint16]:
+        """Instance mask (V, U): 0 where no object is, k + 1 for the scene's object k."""
+        return (self.object_id + 1).astype(np.uint16)
+
     def save(self, path: str | Path, rig: Rig | None = None) -> None:
         """Write as EXR (float32: 0.01 um at 100 mm, 1e-4 px at 1000 px).
 

@@ -13,7 +13,7 @@ from slbench.cloud.decoded import grey_image
 from slbench.cloud.files.write import point_fields
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import warn_user
-from slbench.core.io import OutputFolder, write_json, write_ply
+from slbench.core.io import OutputFolder, write_json, write_ply, write_png
 from slbench.core.show.drawing import write_figure
 from slbench.objects import Mesh
 from slbench.scene.model import Scene
@@ -29,6 +29,7 @@ SCAN_FOLDER = OutputFolder(
         "stack",
         "all-in-focus",
         "truth.exr",
+        "instances.png",
         "transport.npz",
         "cloud.ply",
         "score.json",
@@ -78,7 +79,8 @@ def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> lis
     -------
     list of Path
         Frames and manifest (``capture.toml``, ``frames/``, ``rig.yaml``), ``truth.exr``,
-        ``transport.npz``, ``cloud.ply`` (where there are points), ``score.json`` (what the
+        ``instances.png`` (16 bit, 0 where no object is, k + 1 for object k), ``transport.npz``,
+        ``cloud.ply`` (where there are points), ``score.json`` (what the
         scan says of itself; without scores the number of points),
         ``summary.png``, ``provenance.json``; with focus settings also ``stack/``
         and ``all-in-focus/``, the expected frames through pinholes.
@@ -99,6 +101,7 @@ def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> lis
             light = result.transport, scene.detector, scene.exposure
             all_in_focus(result.stack, *light).write_into(temporary / "all-in-focus")
         result.truth.save(temporary / "truth.exr")
+        write_png(temporary / "instances.png", result.truth.instances)
         result.transport.save(temporary / "transport.npz")
         if len(result.cloud):
             grey = grey_image(result.capture, result.phase)

@@ -22,7 +22,8 @@ do not see::
     OUT/train/000000/frames/000000_000.png   the pattern frames, in order
 
 ``mask`` is the object's silhouette with nothing before it, ``mask_visib`` what the camera
-sees of it, from the ground truth's object ids (the toolkit estimates it from depth).
+sees of it, from the ground truth's object ids (the toolkit estimates it from depth).  Distractors
+are in the pictures alone.
 
 BOP's camera is a pinhole.  Where a lens distorts or the sensor is tilted, pictures are undistorted
 onto the pinhole of ``cam_K`` (``cv2.initUndistortRectifyMap``, linear interpolation), and depth and
@@ -152,8 +153,11 @@ def _write_image(
     depth = scaled_depth(view.depth, scale)
     write_png(scene / "depth" / f"{name}.png", depth)
 
-    poses, information = [], []
+    poses: list[dict[str, Any]] = []
+    information: list[dict[str, Any]] = []
     for number, placed in enumerate(item.scene.objects):
+        if placed.distractor:
+            continue
         model, origin = models.add(placed.artefact)
         rotation = camera.pose.rotation.T @ placed.pose.rotation
         translation = camera.pose.to_local(placed.pose.to_world(origin))
@@ -164,7 +168,7 @@ def _write_image(
         inside = _middle(whole) | visible
         for kind, mask in (("mask", inside), ("mask_visib", visible)):
             picture = np.where(mask, 255, 0).astype(np.uint8)
-            write_png(scene / kind / f"{name}_{number:06d}.png", picture)
+            write_png(scene / kind / f"{name}_{len(information):06d}.png", picture)
         _middle(whole)[:] = inside
         seen, total = int(visible.sum()), int(whole.sum())
         information.append(

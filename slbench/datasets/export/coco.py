@@ -9,7 +9,8 @@ its reader ``pycocotools`` 2.0::
 
 A mask holds the pixels whose centre's ray meets the object, from the ground truth: nothing is
 outlined by polygons.  It is written as uncompressed run lengths, column by column, as COCO's own
-``segmentation`` of ``counts`` and ``size`` is.  Objects that no pixel sees have no annotation.
+``segmentation`` of ``counts`` and ``size`` is.  Objects that no pixel sees have no annotation, and
+distractors have none.  A category is a kind of artefact; a mesh file is one of its own.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from slbench.datasets.export.registry import Exporter
 from slbench.datasets.read.reader import Dataset
 from slbench.datasets.read.recipe import Recipe
 from slbench.datasets.store.shards import key
+from slbench.scene.model import SceneObject
 
 
 def write_coco(data: Dataset, recipe: Recipe, folder: Path) -> Iterator[int]:
@@ -71,8 +73,8 @@ def write_coco(data: Dataset, recipe: Recipe, folder: Path) -> Iterator[int]:
         images.append(image)
         for number, placed in enumerate(item.scene.objects):
             mask = seen == number
-            if mask.any():
-                category = categories.setdefault(placed.artefact.kind, len(categories) + 1)
+            if mask.any() and not placed.distractor:
+                category = categories.setdefault(_category(placed), len(categories) + 1)
                 annotations.append(
                     {
                         "id": len(annotations) + 1,
@@ -96,6 +98,12 @@ def write_coco(data: Dataset, recipe: Recipe, folder: Path) -> Iterator[int]:
         "annotations": annotations,
     }
     write_json(folder / "annotations.json", content)
+
+
+def _category(placed: SceneObject) -> str:
+    """Return the category of an object: its kind, or the name of its mesh file."""
+    artefact = placed.artefact
+    return artefact.name.removeprefix("mesh.") if artefact.kind == "mesh" else artefact.kind
 
 
 def run_lengths(mask: NDArray[np.bool_]) -> list[int]:

@@ -23,7 +23,7 @@ import scipy.linalg  # noqa: F401  (its BLAS is among those that environment() n
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from slbench.core.errors import InputError
-from slbench.core.io import provenance, write_json
+from slbench.core.io import provenance, write_json, write_png
 from slbench.core.io.scratch import temporary_folder
 from slbench.datasets.spec.sampling import (
     Draw,
@@ -36,6 +36,7 @@ from slbench.datasets.spec.sampling import (
 from slbench.datasets.spec.specification import Specification
 from slbench.datasets.store.index import OK, SCORES, STATISTICS
 from slbench.datasets.store.sample import (
+    INSTANCES,
     PROVENANCE,
     SCORE,
     TRANSPORT,
@@ -144,16 +145,17 @@ def make_sample(
                 rejected[BUILD] += 1
                 problem = f"{BUILD} ({error})"
                 continue
-            if specification.constraints.inside_volume and outside_volume(scene):
+            inside = specification.constraints.inside_volume
+            if inside and outside_volume(scene, drawn.wanted):
                 rejected[VOLUME] += 1
                 problem = VOLUME
                 continue
             truth = _truth(scene)
-            if _too_dark(truth, specification.constraints.min_lit_share):
+            if _too_dark(truth, specification.constraints.min_lit_share, drawn.wanted):
                 rejected[DARK] += 1
                 problem = DARK
                 continue
-            scores = _measure(specification, scene, truth, own_seed, folder)
+            scores = _measure(specification, scene, truth, own_seed, folder, drawn.wanted)
             scores["object"] = _object_hash(scene)
             write_json(folder / SCORE, scores)
             record = _record(specification, drawn, own_seed, rejected)
@@ -169,14 +171,24 @@ def _truth(scene: Scene) -> GroundTruth:
     return ground_truth(scene.objects, scene.rig)
 
 
-def _too_dark(truth: GroundTruth, share: float) -> bool:
-    """Return whether too few pixels see the first object lit; one is always needed."""
-    seen = int(np.count_nonzero(truth.lit & (truth.object_id == 0)))
-    return seen < max(1.0, share * truth.lit.size)
+def _too_dark(truth: GroundTruth, share: float, wanted: int) -> bool:
+    """Return whether too few pixels see the first objects lit; one is always needed."""
+    return _seen_lit(truth, wanted) < max(1.0, share * truth.lit.size)
+
+
+def _seen_lit(truth: GroundTruth, wanted: int) -> int:
+    """Return how many pixels see one of the first objects lit."""
+    first = (truth.object_id >= 0) & (truth.object_id < wanted)
+    return int(np.count_nonzero(truth.lit & first))
 
 
 def _measure(
-    specification: Specification, scene: Scene, truth: GroundTruth, seed: int, folder: Path
+    specification: Specification,
+    scene: Scene,
+    truth: GroundTruth,
+    seed: int,
+    folder: Path,
+    wanted: int,
 ) -> dict[str, Any]:
     """Trace, capture and score; write transport, truth and frames; return the scores."""
     from slbench.simulate.render.trace import trace
@@ -191,6 +203,8 @@ def _measure(
         raise InputError("light transport", "light on the object", "none")
     write_transport(folder / TRANSPORT, transport)
     truth.save(folder / TRUTH, scene.rig)
+    if specification.has_instances:
+        write_png(folder / INSTANCES, truth.instances)
     captures: dict[str, Any] = {}
     floors: dict[int, Floor] = {}
     for prefix, posed in scenes.items():
@@ -219,7 +233,7 @@ def _measure(
             "floor_rms_px": floor.rms_px,
             "monte_carlo_rms_px": floor.sampling_rms_px,
         }
-    return {"statistics": _statistics(transport, truth), "captures": captures}
+    return {"statistics": _statistics(transport, truth, wanted), "captures": captures}
 
 
 def marginals_of(specification: Specification, scene: Scene, folder: Path) -> tuple[Marginal, ...]:
@@ -231,12 +245,12 @@ def marginals_of(specification: Specification, scene: Scene, folder: Path) -> tu
     return tuple(along for along in get_args(Marginal) if along in needed)
 
 
-def _statistics(transport: LightTransport, truth: GroundTruth) -> dict[str, Any]:
+def _statistics(transport: LightTransport, truth: GroundTruth, wanted: int) -> dict[str, Any]:
     lit = truth.lit
     depth = truth.depth[lit]
     return {
         "lit_pixels": int(np.count_nonzero(lit)),
-        "object_pixels": int(np.count_nonzero(lit & (truth.object_id == 0))),
+        "object_pixels": _seen_lit(truth, wanted),
         "shadowed_pixels": int(np.count_nonzero(truth.status == Status.SHADOWED)),
         "depth_min_mm": float(depth.min()),
         "depth_max_mm": float(depth.max()),

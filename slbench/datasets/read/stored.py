@@ -13,12 +13,14 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.capture import MANIFEST as CAPTURE
 from slbench.capture.capture import Capture
 from slbench.core.errors import InputError
 from slbench.core.io import read_json
+from slbench.core.io.images import read_grey
 from slbench.core.show.display import brief
 from slbench.core.validation.types import Seed
 from slbench.core.validation.values import checked
@@ -112,6 +114,13 @@ class Sample:
     def truth(self) -> GroundTruth:
         """Its ground truth."""
         return self._read(sample.TRUTH, partial(GroundTruth.load, rig=self.rig))
+
+    @property
+    def instances(self) -> NDArray[Any]:
+        """Instance mask (V, U) uint16: 0 where no object is, k + 1 for the scene's object k."""
+        if sample.INSTANCES in self.members:
+            return self._read(sample.INSTANCES, read_grey).astype(np.uint16)
+        return self.truth.instances
 
     @cached_property
     def rig(self) -> Rig:

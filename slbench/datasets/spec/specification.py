@@ -30,6 +30,20 @@ which one is drawn, the patterns whose frames are rendered, and what a draw must
     inside_volume = true
     min_lit_share = 0.05
 
+Several objects a sample, and what stands beside them::
+
+    [clutter]                     # without: one object, where its table says
+    count = [1, 5]
+    distractors = [0, 2]
+    height_mm = -8.0              # of the table on which they rest
+
+    [[distractors]]               # as [[objects]]: drawn, but not of interest
+    kind = "sphere"
+    ...
+    [materials.paint]             # drawn anew for each object that takes it
+    bsdf = "principled"
+    roughness = { uniform = [0.2, 0.6] }
+
 ``modules = ["my_parts.py"]`` at its top names Python files beside it that add to the registries
 (:mod:`slbench.core.modules`).
 
@@ -54,6 +68,7 @@ from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Share
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
+from slbench.datasets.spec.clutter import COUNTS, Clutter
 from slbench.datasets.spec.distributions import (
     Distribution,
     column,
@@ -96,9 +111,9 @@ class Constraints(Parameters):
     Parameters
     ----------
     inside_volume : bool
-        The drawn object lies in the measurement volume.
+        The drawn objects lie in the measurement volume, distractors left out.
     min_lit_share : float
-        Share of the camera's pixels that see the drawn object lit; one pixel at least.
+        Share of the camera's pixels that see drawn objects lit; one pixel at least.
     max_draws : int
     """
 
@@ -129,6 +144,14 @@ class Specification(Parameters):
     modules : tuple of str, optional
         Python files beside the specification; resolved, their names among the files of the
         data set, those of scenes that are extended included.
+    clutter : Clutter, optional
+        How many objects and distractors a sample has; without, one object.
+    distractors : tuple of dict, optional
+        Objects that are drawn besides and are not of interest.
+    materials : dict, optional
+        Materials by name, whose distributions are drawn for each object that takes one.
+    instances : bool, optional
+        Whether samples have an instance mask as a picture; they have with clutter.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]*$", max_length=60)]
@@ -142,6 +165,20 @@ class Specification(Parameters):
     weight_bits: Annotated[int, Field(ge=1, le=EXACT_BITS)] = EXACT_BITS
     samples_per_shard: Count = 64
     modules: tuple[str, ...] | None = None
+    # What older specifications do not have is None, which no manifest holds.
+    clutter: Clutter | None = None
+    distractors: tuple[dict[str, Any], ...] | None = None
+    materials: dict[str, dict[str, Any]] | None = None
+    instances: bool | None = None
+
+    @model_validator(mode="after")
+    def _cluttered(self) -> Specification:
+        if self.clutter is not None and not self.objects:
+            raise ValueError("[[objects]] beside clutter")
+        most = 0 if self.clutter is None else self.clutter.limits("distractors")[1]
+        if bool(most) != bool(self.distractors):
+            raise ValueError("[[distractors]] beside clutter.distractors, and the other way round")
+        return self
 
     @model_validator(mode="after")
     def _distinct(self) -> Specification:
@@ -149,18 +186,37 @@ class Specification(Parameters):
             raise ValueError("marginals, each once")
         return self
 
-    def kinds(self) -> tuple[str, ...]:
-        """Return the names of the objects that are drawn from."""
-        return tuple(table["name"] for table in self.objects)
+    @property
+    def has_instances(self) -> bool:
+        """Whether samples have an instance mask as a picture."""
+        return self.clutter is not None if self.instances is None else self.instances
 
-    def weights(self) -> tuple[float, ...]:
-        """Return their weights."""
-        return tuple(float(table["weight"]) for table in self.objects)
+    def drawn_from(self, which: str) -> tuple[dict[str, Any], ...]:
+        """Return the tables of ``objects`` or of ``distractors``."""
+        return self.objects if which == "objects" else self.distractors or ()
 
     def distributions(self) -> Iterator[tuple[Place, Distribution]]:
-        """Yield every distribution; its place starts with ``scene`` or ``objects``, index."""
+        """Yield every distribution; its place starts with its table and, in lists, an index."""
         yield from find(self.scene, self.name, ("scene",))
         yield from find(self.objects, self.name, ("objects",))
+        yield from find(self.distractors or (), self.name, ("distractors",))
+        yield from find(self.materials or {}, self.name, ("materials",))
+
+    def columns_drawn(self) -> Iterator[tuple[str, Any, Place, Distribution]]:
+        """Yield the column of every distribution in every slot, and what it belongs to.
+
+        What a column belongs to is None for the scene, else slot, table and which of the table;
+        of one slot and table, those of different objects or materials exclude each other.
+        """
+        known = [(place, one, column(place, one)) for place, one in self.distributions()]
+        for place, one, name in known:
+            if place[0] == "scene":
+                yield name, None, place, one
+        slots = [("", "objects")] if self.clutter is None else self.clutter.slots()
+        for slot, which in slots:
+            for place, one, name in known:
+                if place[0] in (which, "materials"):
+                    yield name + slot, (slot, place[0], place[1]), place, one
 
     def drawn_columns(self) -> dict[str, str]:
         """Return the index column of each distribution and its type.
@@ -171,13 +227,15 @@ class Specification(Parameters):
             If two that can be drawn together share a name, or two of a name differ in type.
         """
         types: dict[str, str] = {}
-        owners: dict[str, set[Any]] = {}
-        for place, distribution in self.distributions():
-            name = column(place, distribution)
+        if self.clutter is not None:
+            types = dict.fromkeys(COUNTS, "int64")
+            types |= {f"kind{slot}": "string" for slot, _ in self.clutter.slots() if slot}
+        owners: dict[str, set[Any]] = {name: {None} for name in types}
+        for name, owner, place, distribution in self.columns_drawn():
             # Objects exclude each other: what two of them have is one column.
-            owner = place[1] if place[0] == "objects" else None
             others = owners.setdefault(name, set())
-            if owner in others or (others and (owner is None or None in others)):
+            alike = owner is not None and all(o is not None and o[:2] == owner[:2] for o in others)
+            if owner in others or (others and not alike):
                 where = f"{self.name}: {written(place)}"
                 raise InputError(where, f"a name other than {name} (name = ...)", "a second one")
             others.add(owner)
@@ -207,9 +265,11 @@ class Specification(Parameters):
         names.update(self.modules or ())
         for patterns in self.patterns:
             names.update(patterns.files or ())
-        for table in (*self.objects, *self.scene.get("objects", ())):
+        tables = (*self.objects, *(self.distractors or ()), *self.scene.get("objects", ()))
+        for table in tables:
             names.update(file_names(table))
         names.update(picture_names(self.scene.get("materials", {})))
+        names.update(picture_names(self.materials or {}))
         names.update(map_names(self.scene.get("environment", {})))
         return names
 
@@ -241,7 +301,7 @@ def load(
     """
     path = _find(name_or_path)
     content = read_toml(path)
-    for key in ("scene", "objects"):
+    for key in ("scene", "objects", "distractors", "materials"):
         # Ahead of the model, which cannot look into what it does not know.
         list(find(content.get(key, {}), path.name, (key,)))
     read = validated(Specification, content, path.name, separator=": ")
@@ -278,12 +338,15 @@ def load(
             embedded(table, path, f"scene.objects[{k}]", files)
             for k, table in enumerate(_tables(scene["objects"], f"{path.name}: scene.objects"))
         ]
-    objects = []
-    for k, table in enumerate(read.objects):
-        objects.append(_object(plain(table), path, f"objects[{k}]", files))
-    names = [table["name"] for table in objects]
-    if len(set(names)) != len(names):
-        raise InputError(f"{path.name}: objects", "a name of its own for each", names)
+    resting = read.clutter is not None and read.clutter.poses == "resting"
+    objects = _drawn_objects(read.objects, path, "objects", files, resting)
+    cluttering: dict[str, Any] = {}
+    if read.distractors is not None:
+        tables = _drawn_objects(read.distractors, path, "distractors", files, resting)
+        cluttering["distractors"] = tables
+    if read.materials is not None:
+        given = embedded_pictures(plain(read.materials), path, "materials", files)
+        cluttering["materials"] = given
     sets, needed = [], []
     for k, patterns in enumerate(read.patterns):
         one, along, own_modules = resolved(
@@ -293,6 +356,7 @@ def load(
         needed.append(along)
         modules += own_modules
     values = read.model_dump() | {"scene": scene, "objects": objects, "patterns": sets}
+    values |= cluttering
     values["modules"] = list(dict.fromkeys(modules)) or None
     complete = validated(Specification, values, path.name, separator=": ")
     if not objects and not scene.get("objects"):
@@ -348,6 +412,27 @@ def shipped() -> list[str]:
     """Return the names of the shipped specifications."""
     folder = resources.find("scenes", resources.names("scenes")[0]).parent / _SHIPPED
     return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def _drawn_objects(
+    tables: Sequence[dict[str, Any]],
+    path: Path,
+    where: str,
+    files: dict[str, bytes],
+    resting: bool,
+) -> list[dict[str, Any]]:
+    """Return objects to draw from, checked, their files embedded."""
+    found = []
+    for k, table in enumerate(tables):
+        found.append(_object(plain(table), path, f"{where}[{k}]", files))
+        for key in ("position_mm", "rotation_deg"):
+            if resting and key in table:
+                expected = 'none of an object that rests on the table (clutter.poses = "stated")'
+                raise InputError(f"{path.name}: {where}[{k}].{key}", expected, shown(table[key]))
+    names = [table["name"] for table in found]
+    if len(set(names)) != len(names):
+        raise InputError(f"{path.name}: {where}", "a name of its own for each", names)
+    return found
 
 
 def _object(

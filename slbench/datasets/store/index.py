@@ -31,7 +31,7 @@ FIXED: Mapping[str, str] = {
     "offset": "int64",  # of its first byte in the shard
     "size": "int64",  # bytes
     "sha256": "string",  # of those bytes
-    "kind": "string",  # of the drawn object, as the specification names it
+    "kind": "string",  # of the drawn object, the first, as the specification names it
     "object": "string",  # hash of its mesh: equal for the same object
     "seed": "int64",  # that its light and its first capture are drawn with
     "draws": "int64",  # parameters drawn until the constraints were met
@@ -41,7 +41,7 @@ _WHERE_OK = tuple(name for name in FIXED if name not in ("reason", "kind"))
 #: Statistics of every sample.
 STATISTICS: Mapping[str, str] = {
     "lit_pixels": "int64",
-    "object_pixels": "int64",  # lit pixels of the drawn object
+    "object_pixels": "int64",  # lit pixels of the drawn objects, distractors left out
     "shadowed_pixels": "int64",
     "depth_min_mm": "double",  # over lit pixels
     "depth_max_mm": "double",

@@ -7,6 +7,9 @@
 ``truth.exr``
     Of each pixel's point one world coordinate, normal, status and object; the rest follows from
     them and the rig (:meth:`slbench.scene.truth.GroundTruth.load`).
+``instances.png``
+    Where the specification asks for it: which of the scene's objects each pixel sees, 16 bit, 0
+    for none and k + 1 for object k.
 ``score.json``
     Statistics of the sample, and the score of each capture.
 ``provenance.json``
@@ -49,6 +52,7 @@ TRANSPORT = "transport.npz"
 TRUTH = "truth.exr"
 SCORE = "score.json"
 PROVENANCE = "provenance.json"
+INSTANCES = "instances.png"
 #: What the names of modules start with.
 MODULE = "module"
 #: What every sample has.
@@ -137,7 +141,8 @@ def pack(number: int, members: Mapping[str, bytes]) -> bytes:
     members : mapping of str to bytes
         By name without the key.
     """
-    own = {name for name in members if name not in REQUIRED and not _OF_CAPTURE.match(name)}
+    always = (*REQUIRED, INSTANCES)
+    own = {name for name in members if name not in always and not _OF_CAPTURE.match(name)}
     kept = {name: content for name, content in members.items() if name not in own}
     stream = io.BytesIO()
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:

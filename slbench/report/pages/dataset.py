@@ -21,7 +21,6 @@ from slbench.core.io import plain
 from slbench.core.show.display import length_unit
 from slbench.core.show.document import Cell, Picture, Table
 from slbench.datasets.manifest import Manifest
-from slbench.datasets.spec.distributions import column
 from slbench.datasets.spec.patterns import Patterns
 from slbench.datasets.spec.specification import from_dict
 from slbench.datasets.store import index
@@ -213,8 +212,8 @@ def _size(count: float) -> str:
 def _drawn_table(manifest: Manifest, rows: Sequence[Row]) -> Table:
     ways: dict[str, set[str]] = {}
     specification = from_dict(manifest.specification, "specification")
-    for place, distribution in specification.distributions():
-        ways.setdefault(column(place, distribution), set()).add(distribution.described())
+    for name, _, _, distribution in specification.columns_drawn():
+        ways.setdefault(name, set()).add(distribution.described())
     body: list[tuple[Cell, ...]] = []
     for name in manifest.drawn:
         values = [row[name] for row in rows if row.get(name) is not None]
@@ -331,12 +330,14 @@ def _name(sheet: Sheet, place: Place, row: Row) -> None:
 
 def histograms(manifest: Manifest, rows: Sequence[Row]) -> Picture:
     """Return a histogram of every drawn quantity, numbers by bins and texts by value."""
-    names = list(manifest.drawn)
+    specification = from_dict(manifest.specification, "specification")
+    further = () if specification.clutter is None else specification.clutter.slots()
+    # Of several objects the first: the others are drawn alike.
+    ends = tuple(slot for slot, _ in further if slot)
+    names = [name for name in manifest.drawn if not name.endswith(ends)]
     columns = min(_ABREAST, len(names))
     ways: dict[str, bool] = {}
-    specification = from_dict(manifest.specification, "specification")
-    for place, distribution in specification.distributions():
-        name = column(place, distribution)
+    for name, _, _, distribution in specification.columns_drawn():
         ways[name] = ways.get(name, True) and distribution.log_uniform is not None
     logarithmic = {name for name, always in ways.items() if always}
     values = {name: [row[name] for row in rows if row.get(name) is not None] for name in names}
