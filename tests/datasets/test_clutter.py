@@ -76,9 +76,12 @@ def scenes(specification, folder, samples, seed=1):
         here = folder / f"{sample}"
         here.mkdir()
         try:
-            yield drawn, place_scene(drawn, {}, here, True)
+            scene = place_scene(drawn, {}, here, True)
         except InputError as error:
-            assert "room" in str(error)
+            if "room" not in str(error):
+                raise
+            continue
+        yield drawn, scene
 
 
 # -- what is drawn ------------------------------------------------------------------------------
@@ -155,7 +158,7 @@ def test_objects_rest_on_the_table_apart(specification, tmp_path):
         for item in scene.objects[:count]:
             vertices = item.pose.to_world(item.artefact.mesh.vertices)
             assert vertices[:, 2].min() == pytest.approx(HEIGHT, abs=1e-9)
-            assert np.abs(vertices[:, :2]).max(axis=0) <= [30.0, 35.0] + 1e-9 * np.ones(2)
+            assert np.all(np.abs(vertices[:, :2]) <= [30.0 + 1e-9, 35.0 + 1e-9])  # the volume
             centre = item.pose.to_world(item.artefact.mesh.as_trimesh.center_mass)
             # A polygon in a circle is a facet only to some error of its corners.
             foot = vertices[vertices[:, 2] < HEIGHT + 1e-6][:, :2]
@@ -281,7 +284,7 @@ def test_refusals_name_what_is_wrong(tmp_path, content, words):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (changed(area_mm=[9.0, 9.0]), ["room on 9 x 9 mm", "object 1 of 1", "mm"]),
+        (changed(area_mm=[5.0, 5.0]), ["room on 5 x 5 mm", "object 1 of 1", "mm"]),
         (
             changed(count=3, area_mm=[18.0, 20.0], distractors=2),
             ["a draw of", "room on 18 x 20 mm"],

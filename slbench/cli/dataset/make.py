@@ -21,7 +21,7 @@ Workers = Annotated[int, Interval(ge=0, le=1024)]
 _QUIET_S = 30.0
 
 
-@command("slbench dataset make mixed --out data --count 100 --preview")
+@command("slbench dataset make clutter --out data --count 100 --preview")
 def make(
     spec: Annotated[
         str, typer.Argument(help="A specification (TOML), or the name of a shipped one.")
