@@ -17,8 +17,8 @@ from slbench.core.io import read_exr, read_json, read_ply, read_toml, write_png,
 from slbench.rig.opencv import read_rig
 
 FILES = {
-    "capture.toml", "cloud.ply", "frames", "instances.png", "provenance.json", "rig.yaml", "score.json",
-    "summary.png", "transport.npz", "truth.exr",
+    "capture.toml", "cloud.ply", "frames", "instances.png", "provenance.json", "rig.yaml",
+    "score.json", "summary.png", "transport.npz", "truth.exr",
 }  # fmt: skip
 
 
