@@ -19,13 +19,14 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from slbench.core.errors import InputError
+from slbench.core.philox import BLOCK, normal_block, work_space
 from slbench.core.random import generator
 from slbench.core.validation.types import (
     FINITE,
@@ -59,8 +60,8 @@ _MOST_E = 1e12
 #: Photons of a unit of radiance.  A watt is 10^18 a second, and a dim panel wants many seconds.
 _Scale = Annotated[float, FINITE, Interval(ge=1e-15, le=1e27)]
 
-#: Normal numbers drawn at a time: what is done with them is then vectorised, in the cache.
-_BLOCK = 1024
+#: Words 2 of a frame's Philox counter.
+_SHOT, _READ = 0, 1
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,9 @@ class Detector(Value, DetectorModel):
         Electrons a digital number; None: full well meets the top of the range.
     seed : int
         Seed of the fixed pattern.
+    noise_stream : {"pcg64", "philox4x32"}
+        What draws temporal noise.  ``"pcg64"`` is NumPy's generator; ``"philox4x32"``
+        (:mod:`slbench.core.philox`) gives other frames of the same statistics, in less time.
 
     Raises
     ------
@@ -110,6 +114,7 @@ class Detector(Value, DetectorModel):
     offset_dn: NotNegative | None = None
     gain_e_per_dn: Positive | None = None
     seed: Seed = 0
+    noise_stream: Literal["pcg64", "philox4x32"] = "pcg64"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -344,7 +349,11 @@ def _expose_frame(
     charge = np.array([efficiency, dark_e, read_e, least_e], np.float32)
     gain = 1.0 / detector.e_per_dn
     levels = np.array([detector.full_well_e, gain, detector.black_dn, detector.top_dn], np.float32)
-    if _expose(*light, offset.ravel(), charge, smooth, levels, rng, out.reshape(-1)):
+    key = np.empty(0, np.uint32)
+    if detector.noise_stream == "philox4x32":
+        key = rng.integers(0, 1 << 32, 2, dtype=np.uint32)
+    given = (*light, offset.ravel(), charge, smooth, levels, rng, key, work_space())
+    if _expose(*given, out.reshape(-1)):
         mean = light[0] * np.float64(efficiency) * light[1] + dark_e
         few = mean < least_e
         electrons = rng.poisson(mean[few]) + read_e * rng.standard_normal(few.sum())
@@ -402,26 +411,37 @@ def _expose(
     smooth: bool,
     levels: Any,
     rng: Any,
+    key: Any,
+    work: Any,
     out: Any,
 ) -> bool:
-    """Expose all pixels by the expansion; return whether it fails for any."""
+    """Expose all pixels by the expansion; return whether it fails for any.
+
+    Normal numbers are the generator's where the key is empty, else those of the key.
+    """
     efficiency, dark_e, read_e, least_e = charge
     variance = read_e * read_e if smooth else np.float32(-_ROUNDING_VARIANCE)
     most_e = np.float32(_MOST_E)
     few = 0
-    mean = np.empty(_BLOCK, np.float32)
+    mean = np.empty(BLOCK, np.float32)
     normal, electrons = np.empty_like(mean), np.empty_like(mean)
-    for first in range(0, out.size, _BLOCK):
-        last = min(first + _BLOCK, out.size)
+    for first in range(0, out.size, BLOCK):
+        last = min(first + BLOCK, out.size)
         size = last - first
         for i in range(size):
             m = np.float32(photons[first + i]) * efficiency * response[first + i] + dark_e
             few += m < least_e
             mean[i] = m if m < most_e else most_e
-        _normal(rng, normal[:size])
+        if key.size:
+            normal_block(key, _SHOT, first // BLOCK, work, normal)
+        else:
+            _normal(rng, normal[:size])
         _quantile(mean, variance, normal, electrons[:size])
         if not smooth:
-            _normal(rng, normal[:size])
+            if key.size:
+                normal_block(key, _READ, first // BLOCK, work, normal)
+            else:
+                _normal(rng, normal[:size])
             for i in range(size):
                 electrons[i] = np.rint(electrons[i]) + read_e * normal[i]
         _digitise(electrons[:size], offset[first:last], levels, out[first:last])

@@ -27,6 +27,7 @@ from slbench.core.show.display import block
 from slbench.core.threads import in_bands
 from slbench.rig.optics.spread import Spread
 from slbench.simulate.footprints import BlurredPanel, Levels
+from slbench.simulate.packing import summed
 from slbench.simulate.rows import SparseRows, row_starts
 
 if TYPE_CHECKING:
@@ -72,6 +73,13 @@ def _product(indptr, indices, data, panels, ambient, least, out, start, stop):  
     Sums below `least` are set to it.
     """
     n = out.shape[0]
+    if n == 1:
+        for p in range(start, stop):
+            one = np.float32(0)
+            for j in range(indptr[p], indptr[p + 1]):
+                one += data[j] * panels[indices[j], 0]
+            out[0, p] = ambient[p] + max(one, least)
+        return
     sums = np.empty((_TILE, n), np.float32)
     for first in range(start, stop, _TILE):
         last = min(first + _TILE, stop)
@@ -414,15 +422,21 @@ class LightTransport:
         return arrays
 
     @classmethod
-    def load(cls, path: str | Path) -> LightTransport:
+    def load(cls, path: str | Path, content: bytes | None = None) -> LightTransport:
         """Read what :meth:`save` wrote.
+
+        Parameters
+        ----------
+        path : str or Path
+        content : bytes, optional
+            Of the file, which then need not exist: its path is for messages.
 
         Raises
         ------
         InputError
             If the file is missing, corrupt, or inconsistent.
         """
-        return cls.of_arrays(read_npz(path, ENTRIES), path)
+        return cls.of_arrays(read_npz(path, ENTRIES, content), path)
 
     @classmethod
     def of_arrays(cls, arrays: dict[str, NDArray[Any]], path: str | Path) -> LightTransport:
@@ -501,7 +515,7 @@ def _entries(
         indices = _checked(path, arrays, f"{name}_indices", "u", 1)
     else:
         steps = _checked(path, arrays, f"{name}_steps", "u", 1)
-        indices = np.cumsum(steps, dtype=steps.dtype)
+        indices = summed(steps, np.empty_like(steps))
         planes = [_checked(path, arrays, f"{name}_{part}", "u", 1) for part in _BYTES]
         if any(plane.dtype != np.uint8 or plane.shape != indices.shape for plane in planes):
             raise InputError(f"{path}: {name}", "four bytes a weight", "others")

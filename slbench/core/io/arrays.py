@@ -1,5 +1,6 @@
 """Points and arrays: binary PLY for clouds and meshes, NPZ without pickles for the rest."""
 
+import io
 import math
 import re
 import zipfile
@@ -211,7 +212,9 @@ def write_npz(path: str | Path, /, **arrays: ArrayLike) -> None:
         np.savez(stream, **values)  # type: ignore[arg-type]
 
 
-def read_npz(path: str | Path, names: Collection[str] | None = None) -> dict[str, NDArray[Any]]:
+def read_npz(
+    path: str | Path, names: Collection[str] | None = None, content: bytes | None = None
+) -> dict[str, NDArray[Any]]:
     """Read named arrays, and no others; pickles are refused.
 
     Each array's header is measured before its content is unpacked.
@@ -222,6 +225,8 @@ def read_npz(path: str | Path, names: Collection[str] | None = None) -> dict[str
         The file.
     names : collection of str, optional
         What is wanted; by default everything that is in the file.
+    content : bytes, optional
+        Of the file, which then need not exist: its path is for messages.
 
     Returns
     -------
@@ -234,15 +239,16 @@ def read_npz(path: str | Path, names: Collection[str] | None = None) -> dict[str
         If the file is missing, corrupt, not an NPZ, or holds pickled objects; if an array is
         larger than its file can hold.
     """
-    path = existing(path)
+    path = existing(path) if content is None else Path(path)
+    size = path.stat().st_size if content is None else len(content)
     try:
         # np.load takes what is no archive for a pickle, and unpacks before it looks.
-        with zipfile.ZipFile(path) as archive:
+        with zipfile.ZipFile(path if content is None else io.BytesIO(content)) as archive:
             entries = {entry.filename: entry for entry in archive.infolist()}
             if names is not None:
                 entries = {f"{n}.npy": entries[f"{n}.npy"] for n in names if f"{n}.npy" in entries}
             total = sum(entry.file_size for entry in entries.values())
-            check_unpacked(path, total, path.stat().st_size)
+            check_unpacked(path, total, size)
             return {
                 name.removesuffix(".npy"): _read_array(archive, entry, path)
                 for name, entry in entries.items()
@@ -279,16 +285,22 @@ def read_npy(path: str | Path) -> NDArray[Any]:
 
 def _check_header(stream: IO[bytes], size: int, where: str | Path) -> None:
     """Refuse an array whose header does not agree with the `size` of all of it."""
+    shape, _, dtype = _header(stream)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != size - stream.tell():
+        got = f"{dtype} of shape {shape} in {size} bytes"
+        raise InputError(where, "a plain array, all of it", got)
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return shape, Fortran order and data type, which an NPY file begins with."""
     version = npy.read_magic(stream)
     read_header = npy.read_array_header_1_0 if version == (1, 0) else None
     if version == (2, 0):
         read_header = npy.read_array_header_2_0
     if read_header is None:  # 3.0 is for names of fields beyond Latin-1
         raise ValueError(f"array format {version}")
-    shape, _, dtype = read_header(stream)
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize != size - stream.tell():
-        got = f"{dtype} of shape {shape} in {size} bytes"
-        raise InputError(where, "a plain array, all of it", got)
+    shape, fortran, dtype = read_header(stream)
+    return shape, fortran, dtype
 
 
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) -> NDArray[Any]:
@@ -296,5 +308,10 @@ def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) ->
     with archive.open(entry) as stream:
         where = f"{path}: {entry.filename.removesuffix('.npy')}"
         _check_header(stream, entry.file_size, where)
-    with archive.open(entry) as stream:
-        return npy.read_array(stream, allow_pickle=False)
+    # At once and in place: NumPy would read an archive's entry in parts, and copy each.
+    stream = io.BytesIO(archive.read(entry))
+    shape, fortran, dtype = _header(stream)
+    if not math.prod(shape) * dtype.itemsize:
+        return np.empty(shape, dtype)
+    flat = np.frombuffer(stream.getbuffer(), dtype, math.prod(shape), stream.tell())
+    return flat.reshape(shape, order="F" if fortran else "C")

@@ -108,7 +108,9 @@ class Sample:
     @cached_property
     def transport(self) -> LightTransport:
         """Its light transport."""
-        return self._read(sample.TRANSPORT, LightTransport.load)
+        content = self.member(sample.TRANSPORT)
+        with self._blamed(sample.TRANSPORT):
+            return LightTransport.load(sample.TRANSPORT, content)
 
     @cached_property
     def truth(self) -> GroundTruth:
