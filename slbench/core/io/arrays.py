@@ -217,7 +217,7 @@ def read_npz(
 ) -> dict[str, NDArray[Any]]:
     """Read named arrays, and no others; pickles are refused.
 
-    Each array's header is measured before its content is unpacked.
+    What the archive says of its size is measured before anything is unpacked.
 
     Parameters
     ----------
@@ -283,16 +283,10 @@ def read_npy(path: str | Path) -> NDArray[Any]:
         raise InputError(path, "an NPY file of a plain array", str(error)) from error
 
 
-def _check_header(stream: IO[bytes], size: int, where: str | Path) -> None:
-    """Refuse an array whose header does not agree with the `size` of all of it."""
-    shape, _, dtype = _header(stream)
-    if dtype.hasobject or math.prod(shape) * dtype.itemsize != size - stream.tell():
-        got = f"{dtype} of shape {shape} in {size} bytes"
-        raise InputError(where, "a plain array, all of it", got)
-
-
-def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Return shape, Fortran order and data type, which an NPY file begins with."""
+def _check_header(
+    stream: IO[bytes], size: int, where: str | Path
+) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Return shape, Fortran order and data type of an array whose header agrees with its `size`."""
     version = npy.read_magic(stream)
     read_header = npy.read_array_header_1_0 if version == (1, 0) else None
     if version == (2, 0):
@@ -300,18 +294,19 @@ def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     if read_header is None:  # 3.0 is for names of fields beyond Latin-1
         raise ValueError(f"array format {version}")
     shape, fortran, dtype = read_header(stream)
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != size - stream.tell():
+        got = f"{dtype} of shape {shape} in {size} bytes"
+        raise InputError(where, "a plain array, all of it", got)
     return shape, fortran, dtype
 
 
 def _read_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo, path: Path) -> NDArray[Any]:
     """Read one array whose header agrees with the size that the archive states."""
-    with archive.open(entry) as stream:
-        where = f"{path}: {entry.filename.removesuffix('.npy')}"
-        _check_header(stream, entry.file_size, where)
     # At once and in place: NumPy would read an archive's entry in parts, and copy each.
     stream = io.BytesIO(archive.read(entry))
-    shape, fortran, dtype = _header(stream)
+    where = f"{path}: {entry.filename.removesuffix('.npy')}"
+    shape, fortran, dtype = _check_header(stream, entry.file_size, where)
     if not math.prod(shape) * dtype.itemsize:
         return np.empty(shape, dtype)
-    flat = np.frombuffer(stream.getbuffer(), dtype, math.prod(shape), stream.tell())
+    flat = np.frombuffer(stream.getbuffer(), dtype, offset=stream.tell())
     return flat.reshape(shape, order="F" if fortran else "C")
