@@ -241,9 +241,7 @@ def test_a_stream_stays_as_it_is(stream):
     With 10^4 e the second order is some 1e-2 e, a thousandth of a DN: rounding differs in one
     of a hundred at most, by one DN.
     """
-    detector = Detector(
-        bit_depth=12, prnu=0, dsnu_e=0, quantum_efficiency=1.0, noise_stream=stream
-    )
+    detector = Detector(bit_depth=12, prnu=0, dsnu_e=0, quantum_efficiency=1.0, noise_stream=stream)
     mean = 10_000.0
     frames = detector.expose(np.full((2, *SHAPE), mean), 0.0, np.random.default_rng(23))
     for frame, child in zip(frames, np.random.default_rng(23).spawn(2), strict=True):
