@@ -218,6 +218,10 @@ def print_json(values: Any) -> None:
     print(json.dumps(plain(values), ensure_ascii=False, allow_nan=False))
 
 
+#: Longest word of a name that a narrow terminal does not break.
+_WORD = 16
+
+
 def print_table(table: Any, *, left: int = 1) -> None:
     """Print a table of :mod:`slbench.core.show.document`, or a rich one.
 
@@ -236,11 +240,15 @@ def print_table(table: Any, *, left: int = 1) -> None:
 
     if isinstance(table, Table):
         laid_out = terminal.Table(title=escape(table.title) or None)
+        texts = table.texts()
         for k, column in enumerate(table.columns):
-            # Names are broken rather than cut short: they are what tells rows apart.
+            # Names are broken rather than cut short: they are what tells rows apart.  Between words
+            # where there is room: numbers and headings leave it to them.
             justify: Literal["left", "right"] = "left" if k < left else "right"
-            laid_out.add_column(column, justify=justify, overflow="fold")
-        for row in table.texts():
+            words = (word for row in texts for word in row[k].split())
+            least = min(max(map(len, words), default=0), _WORD) if k < left else None
+            laid_out.add_column(column, justify=justify, overflow="fold", min_width=least)
+        for row in texts:
             laid_out.add_row(*map(Text, row))  # names come from files: they are no markup
         table = laid_out
     Console(highlight=False).print(table)

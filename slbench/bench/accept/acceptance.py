@@ -295,7 +295,8 @@ def accept(
     Warns
     -----
     InputWarning
-        If the renderer's samples make most of the uncertainty of a size.
+        If the renderer's samples make most of the uncertainty of a size, or of a form that is
+        undecided.
     """
     from slbench.bench.accept.virtual import light_of, measure
 
@@ -347,7 +348,9 @@ def _samples_doubt(found: Acceptance) -> str | None:
     for one in found.tests:
         value = one.worst.value
         sampling = value.u_mm["sampling"]
-        if one.test.signed and sampling**2 > _MOST_BY_SAMPLES * value.u_test_mm**2:
+        # Of a form the samples leave much at preview size, which matters where it decides.
+        matters = one.test.signed or (one.outcome == "undecided" and not one.too_few)
+        if matters and sampling**2 > _MOST_BY_SAMPLES * value.u_test_mm**2:
             return (
                 f"sampling makes {UM * sampling:.3g} of the {UM * value.u_test_mm:.3g} µm "
                 f"uncertainty of {one.test.words}: more samples would change it (--spp)"

@@ -21,7 +21,11 @@ def acceptance_page(result: Acceptance) -> Page:
     -------
     Page
     """
-    words = f"Verdict: {result.outcome}. {result.why()}".strip()
+    words = f"Verdict: {result.outcome}."
+    for outcome in ("fail", "undecided"):
+        if own := [f"{t.test.words}" for t in result.tests if t.outcome == outcome]:
+            words += f" {outcome.capitalize()}: {', '.join(own)}."
+    words = f"{words} {result.why()}".strip()
     words += "".join(f" {line}." for line in result.against())
     symbols = tuple((one.test.words, one.test.label(result.views)) for one in result.tests)
     parts: list[Part] = [Text("Verdict", words), result.table()]
@@ -37,9 +41,9 @@ def acceptance_page(result: Acceptance) -> Page:
             u = [UM * value.u_mm[name] for name in _PARTS]
             limit = None if one.limit_mm is None else UM * one.limit_mm
             rows.append((test.test.words, value.place, UM * value.error_mm, *u, limit, one.outcome))
-    parts_of_u = tuple(f"u {name} / µm" for name in _PARTS)
-    columns = ("test", "place", "error / µm", *parts_of_u, "limit / µm", "verdict")
-    parts.append(Table("All places", columns, tuple(rows)))
+    columns = ("test", "place", "error", *_PARTS, "limit", "verdict")
+    note = "In µm: errors, the parts of their standard uncertainty, and limits."
+    parts.append(Table("All places", columns, tuple(rows), note))
     counts = tuple((one.place.name, one.count, one.left_out) for one in result.places)
     parts.append(Table("Points", ("place", "points", "left out"), counts))
     parts.append(Table("Symbols of VDI/VDE 2634 and ISO 10360-13", ("test", "symbols"), symbols))

@@ -21,6 +21,8 @@ from slbench.core.units import UM
 Array = NDArray[np.float64]
 _COLOURS = {"pass": "C2", "fail": "C3", "undecided": "C1", "no limit": "0.45"}
 _KINDS = {"sphere": "C0", "ball_bar": "C4", "plane": "C9"}
+#: Share of the places' extent that a label is high.
+_APART = 0.035
 #: Tests side by side.
 _COLUMNS = 4
 
@@ -52,11 +54,13 @@ def _places(axes: Axes, result: Acceptance, across: int, up: int) -> None:
         width, height = (result.rig.volume_mm[k] for k in (across, up))
         box = Rectangle((-width / 2, -height / 2), width, height, fill=False, ls="--", color="0.6")
         axes.add_patch(box)
-    count = dict.fromkeys(_KINDS, 0)
+    count, names_at = dict.fromkeys(_KINDS, 0), []
     for place in result.places:
         kind = place.place.standard.kind
         count[kind] += 1
-        _place(axes, place, across, up, f"{kind[0]}{count[kind]}")
+        names_at.append((f"{kind[0]}{count[kind]}", _place(axes, place, across, up)))
+    for label, at in _together(names_at):
+        axes.annotate(label, at, (2, 2), textcoords="offset points", fontsize=7, color="0.1")
     names = "xyz"
     axes.set_xlabel(f"{names[across]} / mm")
     axes.set_ylabel(f"{names[up]} / mm")
@@ -65,22 +69,37 @@ def _places(axes: Axes, result: Acceptance, across: int, up: int) -> None:
     axes.autoscale_view()
 
 
-def _place(axes: Axes, place: Measured, across: int, up: int, label: str) -> None:
+def _together(labels: list[tuple[str, Array]]) -> list[tuple[str, Array]]:
+    """Return labels and where they stand; those that would cover one another as one."""
+    every = np.array([at for _, at in labels])
+    height = _APART * float(np.ptp(every, axis=0).max())
+    groups: list[tuple[list[str], Array]] = []
+    for name, at in labels:
+        for names, there in groups:
+            # Text is wider than it is high.
+            if abs(at[1] - there[1]) < height and abs(at[0] - there[0]) < 1.5 * height:
+                names.append(name)
+                break
+        else:
+            groups.append(([name], at))
+    return [(", ".join(names), at) for names, at in groups]
+
+
+def _place(axes: Axes, place: Measured, across: int, up: int) -> Array:
+    """Draw a standard, and return where its label stands."""
     kind = place.place.standard.kind
     colour = _KINDS[kind]
     if kind == "plane":
         outline = _outline(place.fits[0].points.points[:, [across, up]])
-        axes.add_patch(Polygon(outline, closed=True, color=colour, alpha=0.12))
+        axes.add_patch(Polygon(outline, closed=True, color=colour, alpha=0.06))
         axes.add_patch(Polygon(outline, closed=True, fill=False, color=colour, lw=0.8))
-        x, y = outline[np.argmax(outline @ [0.3, 1.0])]
-    else:
-        middles = np.array([fit.values[:3] for fit in place.fits])[:, [across, up]]
-        for fit, middle in zip(place.fits, middles, strict=True):
-            axes.add_patch(Circle(middle, float(fit.values[3]), color=colour, alpha=0.25))
-        if len(middles) > 1:
-            axes.plot(middles[:, 0], middles[:, 1], color=colour, linewidth=1.2)
-        x, y = middles.mean(axis=0)
-    axes.annotate(label, (x, y), (2, 2), textcoords="offset points", fontsize=7, color="0.1")
+        return np.asarray(outline[np.argmax(outline @ [0.3, 1.0])])
+    middles = np.array([fit.values[:3] for fit in place.fits])[:, [across, up]]
+    for fit, middle in zip(place.fits, middles, strict=True):
+        axes.add_patch(Circle(middle, float(fit.values[3]), color=colour, alpha=0.25))
+    if len(middles) > 1:
+        axes.plot(middles[:, 0], middles[:, 1], color=colour, linewidth=1.2)
+    return np.asarray(middles.mean(axis=0))
 
 
 def _outline(points: Array) -> Array:

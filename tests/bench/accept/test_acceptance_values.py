@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import functools
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import slbench as sl
-from slbench.bench.accept.acceptance import assembled, planned
+from slbench.bench.accept.acceptance import _samples_doubt, assembled, planned
 from slbench.bench.accept.definitions import LEAST_PLACES, TESTS
 from slbench.bench.accept.evaluate import Place, PlaceError, measured_place
 from slbench.bench.accept.plan import plan
@@ -401,3 +402,22 @@ def test_no_more_is_set_aside_than_the_guideline_allows() -> None:
         assert thinnest(many, 0.95) == 0.0, n
         many[n // 20] = 4.0
         assert thinnest(many, 0.95) == 4.0, n
+
+
+def test_samples_that_leave_a_form_undecided_are_told() -> None:
+    """Residuals of 10 um that samples would change by as much; no word where they decide nothing."""
+    rng = np.random.default_rng(4)
+    points, normals = cap(rng, (0.0, 0.0, 0.0), 5.0)
+    rough = Points(
+        points + noise_along(normals, 0.010)[:, 0] * rng.standard_normal((600, 1)),
+        noise_along(normals, 1e-4),
+        sampling_mm=0.010 * rng.standard_normal((600, 1)) * normals,
+    )
+    places = [measured_place(Place(f"ball {k}", SPHERE), [[rough]]) for k in range(10)]
+    form = places[0].errors()["probing_form"]
+    near, far = ({"probing_form": Limit(1e3 * factor * form)} for factor in (1.1, 10.0))
+    doubts = [_samples_doubt(assembled("ball", places[:n], limits=near)) for n in (10, 2)]
+    assert re.search(r"sampling makes .* of probing form: more samples", doubts[0] or "")
+    # Of two places it is the places that are too few.  Signed tests tell where samples are most.
+    for found in (doubts[1], _samples_doubt(assembled("ball", places, limits=far))):
+        assert "probing form" not in (found or "")
