@@ -218,10 +218,6 @@ def print_json(values: Any) -> None:
     print(json.dumps(plain(values), ensure_ascii=False, allow_nan=False))
 
 
-#: Longest word of a name that a narrow terminal does not break.
-_WORD = 16
-
-
 def print_table(table: Any, *, left: int = 1) -> None:
     """Print a table of :mod:`slbench.core.show.document`, or a rich one.
 
@@ -240,14 +236,15 @@ def print_table(table: Any, *, left: int = 1) -> None:
 
     if isinstance(table, Table):
         laid_out = terminal.Table(title=escape(table.title) or None)
-        texts = table.texts()
-        for k, column in enumerate(table.columns):
-            # Names are broken rather than cut short: they are what tells rows apart.  Between words
-            # where there is room: numbers and headings leave it to them.
+        texts, console = table.texts(), Console(highlight=False)
+        columns = list(zip(table.columns, *texts, strict=True))
+        # Where there is no room for all, headings give way first, then names between their words.
+        narrow = sum(3 + max(map(len, column)) for column in columns) >= console.width
+        for k, (heading, *cells) in enumerate(columns):
+            # Names are broken rather than cut short: they are what tells rows apart.
             justify: Literal["left", "right"] = "left" if k < left else "right"
-            words = (word for row in texts for word in row[k].split())
-            least = min(max(map(len, words), default=0), _WORD) if k < left else None
-            laid_out.add_column(column, justify=justify, overflow="fold", min_width=least)
+            most = max(map(len, (*heading.split(), *cells))) if narrow and k >= left else None
+            laid_out.add_column(heading, justify=justify, overflow="fold", max_width=most)
         for row in texts:
             laid_out.add_row(*map(Text, row))  # names come from files: they are no markup
         table = laid_out

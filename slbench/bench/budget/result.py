@@ -176,18 +176,18 @@ class MeasurandBudget:
         """Return what must be known beside the numbers, a sentence each."""
         n = len(self.draws)
         places = _places(self.u)
+        doubt = ""
+        if not self.stable:
+            doubt = ", too few to tell to which digits the numbers stand"
+            if math.isfinite(self.scatter):
+                doubt = f", not stable to the digits wanted: numbers scatter by {self.scatter:.2g} "
+                doubt += f"{self.unit}, wanted {self.tolerance:.2g}"
         found = [
             f"bias {self.of_size(self.bias)} (true value {self.true:.{places}f}), "
             "not corrected and not in u",
             f"sum of squares {100.0 * self.closure:.1f} % of all at once "
             f"(standard error {100.0 * self.closure_error:.1f} %)",
-            f"{n} draws"
-            + (
-                ""
-                if self.stable
-                else f", not stable to the digits wanted: numbers "
-                f"scatter by {self.scatter:.2g} {self.unit}, wanted {self.tolerance:.2g}"
-            ),
+            f"{n} draws{doubt}",
         ]
         if self.missed:
             found.append(f"not measured in {self.missed} draws, which count for nothing")

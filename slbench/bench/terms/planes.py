@@ -12,9 +12,9 @@ states no formula; these are ours:
   of chi^2_{1/2}(R - 1) / (R - 1), which is taken out.
 - *Local planarity precision*: of each square patch, the standard deviation of its points about a
   plane of its own, root mean square over repeats; of these the median.
-- *Global planarity trueness error*: the height of each patch's plane at its centre, the mean over
-  repeats, and of these means the range about one plane through all, which noise hardly reaches; and
-  their RMS, with the noise of a mean taken out.
+- *Global planarity trueness error*: the mean of each patch's points, over repeats too, and of these
+  means the range about one plane through all, which noise hardly reaches; and their RMS, with the
+  noise of a mean taken out.
 """
 
 from __future__ import annotations
@@ -169,24 +169,23 @@ def planarity(
     usual = float(np.median(seen[seen >= LEAST_POINTS])) if np.any(seen >= LEAST_POINTS) else 0.0
     least = max(LEAST_POINTS, _FULL * usual)
     for k in range(number):
-        centre = origin + side * (np.array(divmod(k, count[1])) + 0.5)
         fits = [
-            _plane(one[index == k], centre)
+            _plane(one[index == k])
             for one, index, points in zip(flat, own, seen[:, k], strict=True)
             if points >= least
         ]
         if not fits:
             continue
-        means.append(np.mean([level for level, _, _ in fits]))
+        means.append(np.mean([middle for middle, _, _ in fits], axis=0))
         squares.append(np.mean([s**2 for _, s, _ in fits]))
         noises.append(np.mean([u**2 for _, _, u in fits]) / len(fits))
-        places.append(centre)
+        places.append(origin + side * (np.array(divmod(k, count[1])) + 0.5))
     if len(means) < _LEAST_PATCHES:
         expected = f"{_LEAST_PATCHES} patches of {LEAST_POINTS} points or more"
         raise InputError(f"planarity, patches of {side:.4g} mm", expected, len(means))
-    centres, levels = np.array(places), np.array(means)
-    design = np.column_stack((np.ones(len(levels)), centres - centres.mean(axis=0)))
-    off = levels - design @ np.linalg.lstsq(design, levels, rcond=None)[0]
+    middles = np.array(means)
+    design = np.column_stack((np.ones(len(middles)), middles[:, :2] - middles[:, :2].mean(axis=0)))
+    off = middles[:, 2] - design @ np.linalg.lstsq(design, middles[:, 2], rcond=None)[0]
     noise2 = float(np.mean(noises))
     rms2 = float(np.sum(off**2)) / max(len(off) - 3, 1)
     roughness = np.sqrt(squares)
@@ -196,7 +195,7 @@ def planarity(
         float(np.sqrt(max(rms2 - noise2, 0.0))),
         float(np.sqrt(noise2)),
         side,
-        centres,
+        np.array(places),
         off,
         roughness,
         outliers,
@@ -231,15 +230,14 @@ def _patches(flat: Array, origin: Array, side: float, count: NDArray[np.int_]) -
     return np.where(inside, place[:, 0] * count[1] + place[:, 1], -1)
 
 
-def _plane(points: Array, centre: Array) -> tuple[float, float, float]:
-    """Return height at a centre, roughness and the height's standard error, of points (n, 3).
+def _plane(points: Array) -> tuple[Array, float, float]:
+    """Return the mean of points (n, 3), their roughness about a plane, and the mean's error across.
 
-    The height is that of the fitted plane at the centre, which over a whole patch is the mean of
-    its points; of a patch that is half there it is less certain than they are.
+    The mean stands where the points are: of a patch that is half there, that is not its centre.
     """
-    design = np.column_stack((np.ones(len(points)), points[:, :2] - centre))
+    middle = points.mean(axis=0)
+    design = np.column_stack((np.ones(len(points)), points[:, :2] - middle[:2]))
     found, *_ = np.linalg.lstsq(design, points[:, 2], rcond=None)
     residuals = points[:, 2] - design @ found
     s = float(np.sqrt(np.sum(residuals**2) / (len(points) - 3)))
-    at_centre = np.linalg.pinv(design.T @ design, hermitian=True)[0, 0]
-    return float(found[0]), s, s * float(np.sqrt(at_centre))
+    return middle, s, s / float(np.sqrt(len(points)))

@@ -80,7 +80,8 @@ class Terms:
         if flat is not None:
             found.append(("local planarity precision", *_shown(flat.local)))
             noise = f"noise of a patch {length(flat.noise_mm)}"
-            noise += f", {flat.outliers} points off it left out" if flat.outliers else ""
+            if flat.outliers:
+                noise += f", {flat.outliers} point{'s' * (flat.outliers > 1)} off it left out"
             trueness = f"{length(flat.range_mm)}, RMS {length(flat.rms_mm)}"
             found.append(("global planarity trueness error", trueness, noise))
         if self.dimension is not None:

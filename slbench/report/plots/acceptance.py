@@ -76,8 +76,10 @@ def _together(labels: list[tuple[str, Array]]) -> list[tuple[str, Array]]:
     groups: list[tuple[list[str], Array]] = []
     for name, at in labels:
         for names, there in groups:
-            # Text is wider than it is high.
-            if abs(at[1] - there[1]) < height and abs(at[0] - there[0]) < 1.5 * height:
+            # From where the other begins to where it ends, about a letter for a line's height.
+            right = at[0] - there[0]
+            width = height * len(", ".join(names) if right > 0.0 else name)
+            if abs(at[1] - there[1]) < height and abs(right) < width:
                 names.append(name)
                 break
         else:

@@ -405,7 +405,7 @@ def test_no_more_is_set_aside_than_the_guideline_allows() -> None:
 
 
 def test_samples_that_leave_a_form_undecided_are_told() -> None:
-    """Residuals of 10 um that samples would change by as much; no word where they decide nothing."""
+    """Residuals of 10 um that samples would change by as much; if they decide nothing, no word."""
     rng = np.random.default_rng(4)
     points, normals = cap(rng, (0.0, 0.0, 0.0), 5.0)
     rough = Points(

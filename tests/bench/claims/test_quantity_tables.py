@@ -12,8 +12,10 @@ def test_a_quantity_in_a_title_and_in_cells_is_shown_whole(capsys):
 
 def test_a_narrow_terminal_breaks_no_word_of_a_name(capsys, monkeypatch):
     """Names give way between words, and headings before them."""
-    monkeypatch.setenv("COLUMNS", "70")
+    monkeypatch.setenv("COLUMNS", "80")
     columns = ("test", "places", "worst", "error / µm", "u / µm", "limit / µm", "verdict")
     rows = (("probing dispersion", "10", "ball bar 10", 51.74, 3.916, None, "undecided"),)
     print_table(Table("Acceptance", columns, rows), left=2)
-    assert "dispersion " in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "dispersion " in shown
+    assert max(map(len, shown.splitlines())) <= 80
