@@ -7,12 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack
 from slbench.core.colour import BANDS
 from slbench.core.random import setting_seed
 from slbench.patterns import Flat, PatternSequence
+from slbench.scene.colour import Colour
 from slbench.scene.model import Scene
 from slbench.simulate.colour import ColourTransport
 from slbench.simulate.expose import Shutter, capture, lighting, shutter_for
@@ -67,29 +69,53 @@ def _traced(
     """Trace a scene at one of its focus settings, each band where it is in colour."""
     from slbench.simulate.render.trace import trace
 
-    if scene.colour is None:
-        return trace(
-            *(scene.objects, scene.rigs[setting], scene.light, axes),
+    if scene.colour is not None:
+        return _coloured(scene, scene.colour, setting, axes, seed, on_progress)
+    return trace(
+        *(scene.objects, scene.rigs[setting], scene.light, axes),
+        samples=scene.samples,
+        seed=seed,
+        on_progress=on_progress,
+    )
+
+
+def _coloured(
+    scene: Scene,
+    colour: Colour,
+    setting: int,
+    axes: tuple[Marginal, ...],
+    seed: int,
+    on_progress: Callable[[float], None] | None,
+) -> ColourTransport:
+    """Trace the bands of a scene: along the same rays where these serve all."""
+    from slbench.simulate.render.bands import together
+    from slbench.simulate.render.trace import trace_bands
+
+    scenes = [scene.in_band(band) for band in BANDS]
+    # What tells bands apart beside their objects.
+    apart: list[Any] = list(zip(colour.camera_scale, colour.projector_scale, strict=True))
+    if scene.light.has_surroundings:
+        apart = list(zip(apart, colour.ambient, strict=True))
+    looks = list(dict.fromkeys(one.objects for one in scenes))
+    if len(set(apart)) == 1 < len(looks) and together(scene.objects, scene.light):
+        found = trace_bands(
+            *(tuple(looks), scenes[0].rigs[setting], scene.light, axes),
             samples=scene.samples,
             seed=seed,
             on_progress=on_progress,
         )
-    bands: list[LightTransport] = []
-    scenes = [scene.in_band(band) for band in BANDS]
-    colour = scene.colour
-    lens = list(zip(colour.camera_scale, colour.projector_scale, colour.ambient, strict=True))
-    for k, one in enumerate(scenes):
+        return ColourTransport.of([found[looks.index(one.objects)] for one in scenes], colour)
+    keys = [(where, one.objects) for where, one in zip(apart, scenes, strict=True)]
+    distinct = list(dict.fromkeys(keys))
+    light = []
+    for k, key in enumerate(distinct):
 
         def progress(part: float, done: int = k) -> None:
             if on_progress:
-                on_progress((done + part) / len(scenes))
+                on_progress((done + part) / len(distinct))
 
-        # Bands that nothing tells apart have one light.
-        twin = next(
-            (j for j in range(k) if lens[j] == lens[k] and scenes[j].objects == one.objects), None
-        )
-        bands.append(_traced(one, setting, axes, seed, progress) if twin is None else bands[twin])
-    return ColourTransport.of(bands, colour)
+        light.append(_traced(scenes[keys.index(key)], setting, axes, seed, progress))
+    return ColourTransport.of([light[distinct.index(key)] for key in keys], colour)
 
 
 def capture_stack(

@@ -16,13 +16,18 @@ from slbench import objects
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
 from slbench.rig.optics.spread import Spread
+from slbench.scene.bsdfs import Diffuse
+from slbench.scene.colour import Colour
 from slbench.scene.file import load_scene
+from slbench.scene.materials import Material
 from slbench.scene.model import Scene, SceneObject
+from slbench.scene.textures import Tint
 from slbench.simulate.footprints import Levels
 from slbench.simulate.render import current
 from slbench.simulate.render.mitsuba import mi
 from slbench.simulate.render.translate import mitsuba_dict
 from slbench.simulate.rows import LineRows, SampleBlock
+from slbench.simulate.stack import traced
 
 pytestmark = pytest.mark.slow  # some 10 s
 
@@ -169,3 +174,25 @@ def test_merging_the_samples_is_the_smaller_part(benchmark, render):
     benchmark.extra_info |= {"ratio": merging / one_render}
     print(f"\nmerging 64 samples of 640 x 480: {merging:.3f} s, one render {one_render:.3f} s")
     assert merging <= one_render
+
+
+def test_colour_costs_no_more_than_what_differs(scene):
+    """Grey surfaces in colour are traced once; coloured ones share rays, and are added up apart."""
+    paint = Material(Diffuse(albedo=Tint(values=(0.8, 0.4, 0.2))))
+    painted = tuple(replace(one, material=paint) for one in scene.objects)
+    grey, coloured = (
+        replace(scene, colour=Colour(), objects=objects) for objects in (scene.objects, painted)
+    )
+
+    def seconds(which):
+        start = time.perf_counter()
+        traced(which, ("u",))
+        return time.perf_counter() - start
+
+    scenes = {"one band": scene, "grey": grey, "coloured": coloured}
+    for one in scenes.values():
+        seconds(one)  # compiles
+    best = {name: min(seconds(one) for _ in range(RUNS)) for name, one in scenes.items()}
+    # What disturbs a run; three traces would be 3.
+    assert best["grey"] < 1.3 * best["one band"]
+    assert best["coloured"] < 2.5 * best["one band"]

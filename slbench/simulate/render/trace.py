@@ -32,6 +32,7 @@ from slbench.rig import Projector, Rig
 from slbench.rig.optics.spread import Spread
 from slbench.scene.model import Light, SceneObject
 from slbench.simulate.footprints import Levels
+from slbench.simulate.render.bands import Bands
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.camera import seen_circle, spread_ray
 from slbench.simulate.render.plugins.optics import PanelOptics, opaque, opaque_transform
@@ -46,6 +47,9 @@ _LANES_PER_PASS = 1 << 21
 #: Bits of a weight's mantissa: 1.5e-5 of it, when a step of 16 bit frames is as much of the whole
 #: range and sampling alone errs by 1e-3.
 _BITS = 15
+
+#: Numbers of a sample's place on the panel: two each of chief, shift and circles.
+_PARTS = 6
 
 #: Radius of a disc, px, beyond which all discs are alike.
 _LARGEST_PX = 1e5
@@ -90,13 +94,54 @@ def trace(
     BackendError
         If Mitsuba cannot run here.
     """
-    tracer = _Tracer(objects, rig, light, samples, seed)
+    return _summed(_Tracer(objects, rig, light, samples, seed), rig, marginals, on_progress)[0]
+
+
+@checked
+def trace_bands(
+    objects: tuple[tuple[SceneObject, ...], ...],
+    rig: Rig,
+    light: Light,
+    marginals: Axes,
+    *,
+    samples: Samples,
+    seed: Seed = 0,
+    on_progress: Callable[[float], None] | None = None,
+) -> tuple[LightTransport, ...]:
+    """Trace the light transport in several bands of light along the same rays.
+
+    Parameters
+    ----------
+    objects : tuple of tuple of SceneObject
+        The objects in each band, which may share rays
+        (:func:`slbench.simulate.render.bands.together`).
+    rig, light, marginals, samples, seed, on_progress
+        As for :func:`trace`, which gives the same to rounding, band by band.
+
+    Returns
+    -------
+    tuple of LightTransport
+        One a band.
+    """
+    tracer = _Tracer(objects[0], rig, light, samples, seed)
+    tracer.bands = Bands(objects, tracer.geometry)
+    return _summed(tracer, rig, marginals, on_progress, len(objects))
+
+
+def _summed(
+    tracer: _Tracer,
+    rig: Rig,
+    marginals: Axes,
+    on_progress: Callable[[float], None] | None,
+    n_bands: int = 1,
+) -> tuple[LightTransport, ...]:
+    """Add samples up, pass by pass."""
     camera, projector = rig.camera, rig.projector
     # Pixels that strong distortion folds away see nothing.
     fall_off = np.nan_to_num(camera.relative_illumination(camera.pixel_grid()).ravel())
-    builders: dict[Marginal, LineRows | PointRows] = {
-        name: _rows(projector, name) for name in marginals
-    }
+    builders: list[dict[Marginal, LineRows | PointRows]] = [
+        {name: _rows(projector, name) for name in marginals} for _ in range(n_bands)
+    ]
     ambient = np.zeros(camera.width * camera.height, np.float32)
     passes = tracer.passes()
     launched = tracer.launch(*passes[0])
@@ -106,21 +151,28 @@ def trace(
             launched = tracer.launch(*following)
         if escaped is not None:
             ambient[first:last] = escaped.numpy().reshape(last - first, -1).mean(axis=1)
-        block = tracer.samples_of(wanted, last - first)
-        for builder in builders.values():
-            builder.add(block)
+        for own, block in zip(builders, tracer.samples_of(wanted, last - first), strict=True):
+            for builder in own.values():
+                builder.add(block)
         if on_progress:
             on_progress(last / ambient.size)
-    rows = {name: builder.result() for name, builder in builders.items()}
-    if np.any(fall_off != 1.0):
-        rows = {name: one.scaled(fall_off) for name, one in rows.items()}
+    shaded = np.any(fall_off != 1.0)
+    if shaded:
         ambient *= fall_off.astype(np.float32)
-    return LightTransport(
-        {name: one.rounded(_BITS) for name, one in rows.items()},
-        ambient.reshape(camera.height, camera.width),
-        (projector.width, projector.height),
-        tracer.samples,
-    )
+    found = []
+    for own in builders:
+        rows = {name: builder.result() for name, builder in own.items()}
+        if shaded:
+            rows = {name: one.scaled(fall_off) for name, one in rows.items()}
+        found.append(
+            LightTransport(
+                {name: one.rounded(_BITS) for name, one in rows.items()},
+                ambient.reshape(camera.height, camera.width),
+                (projector.width, projector.height),
+                tracer.samples,
+            )
+        )
+    return tuple(found)
 
 
 def _rows(projector: Projector, name: Marginal) -> LineRows | PointRows:
@@ -169,6 +221,8 @@ class _Tracer:
         self.intensity = opaque(rig.projector.axial_intensity)
         self.width, self.height = rig.camera.width, rig.camera.height
         self.geometry = geometry(objects)
+        self.bands: Bands | None = None
+        self.shares: list[Any] = []  # of each band in the weights launched last
         self.pairs = 1 << (max(1, -(-samples // 4)) - 1).bit_length()
         self.samples = 4 * self.pairs
 
@@ -182,11 +236,13 @@ class _Tracer:
         """Start tracing pixels `first` to `last`; return what each bounce and none will have."""
         hits, escaped = self._kernel(first, last)
         wanted = [[hit.weight, *(part[k] for part in hit[1:] for k in range(2))] for hit in hits]
+        if self.bands is not None:
+            wanted[0] += self.shares
         dr.eval(*wanted, escaped)
         return wanted, escaped
 
-    def samples_of(self, wanted: list[list[Any]], pixels: int) -> SampleBlock:
-        """Wait for what was launched, and return its samples."""
+    def samples_of(self, wanted: list[list[Any]], pixels: int) -> list[SampleBlock]:
+        """Wait for what was launched, and return its samples, those of each band."""
         weights, *parts = (
             np.concatenate([self._lanes(array, pixels) for array in arrays], axis=1)
             for arrays in zip(*wanted, strict=True)
@@ -194,7 +250,10 @@ class _Tracer:
         axes = {k: (parts[k], parts[k + 2], parts[k + 4]) for k in range(2)}
         # A sample stands for as much of the lens as a pair; its place and that disc together have
         # the variance of the whole.
-        return SampleBlock(weights, axes, 1.0 / math.sqrt(self.pairs), self.samples)
+        whole = SampleBlock(weights, axes, 1.0 / math.sqrt(self.pairs), self.samples)
+        if self.bands is None:
+            return [whole]
+        return [whole._replace(weights=weights * share) for share in parts[_PARTS:]]
 
     def _circles(self, first: int, last: int) -> Any:
         """Return the signed circle of confusion of what each pixel's centre sees, px."""
@@ -250,7 +309,10 @@ class _Tracer:
                 escaped += dr.select(gone, throughput * self.samples * outside, 0.0)
             active &= si.is_valid()
             bsdf = si.bsdf(ray)
-            hits.append(self._direct(si, bsdf, context, throughput, sampler, active))
+            scattering = bsdf if self.bands is None else self.bands.at(si, active)
+            hits.append(self._direct(si, scattering, context, throughput, sampler, active))
+            if self.bands is not None:
+                self.shares = scattering.shares
             last_bounce = bounce == self.bounces
             if last_bounce and escaped is None:
                 break
