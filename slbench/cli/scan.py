@@ -44,7 +44,8 @@ def scan(
     patterns: Annotated[
         str | None,
         typer.Option(
-            help='"1,10,50", "gray+16@8"; a TOML file, a folder of pictures, mine.py:SET.'
+            help='"1,10,50", "gray+16@8", in colour "1,16@3+rgb"; a TOML file, a folder of '
+            "pictures, mine.py:SET."
         ),
     ] = None,
     steps: Annotated[Shifts | None, typer.Option(help="Phase shifts of each fringe set.")] = None,

@@ -25,6 +25,12 @@ def decode_srgb(values: ArrayLike) -> NDArray[np.float64]:
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
 
+def encode_srgb(linear: ArrayLike) -> NDArray[np.float64]:
+    """Return linear values in [0, 1] encoded as sRGB (IEC 61966-2-1); others are clipped."""
+    v = np.clip(np.asarray(linear, dtype=np.float64), 0.0, 1.0)
+    return np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1.0 / 2.4) - 0.055)
+
+
 def unit_range(pixels: NDArray[Any]) -> NDArray[np.float64]:
     """Return whole numbers as fractions of their type's largest; floats as they are."""
     values = np.asarray(pixels)

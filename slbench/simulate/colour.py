@@ -158,10 +158,16 @@ class ColourTransport(LightTransport):
         write_npz(path, **arrays)
 
     @classmethod
-    def load(cls, path: str | Path) -> Self:
+    def load(cls, path: str | Path, content: bytes | None = None) -> Self:
         """Read what :meth:`save` wrote.
 
         Its colour is what light needs of it: primaries, response and the decoded channel.
+
+        Parameters
+        ----------
+        path : str or Path
+        content : bytes, optional
+            Of the file, where it is at hand.
 
         Raises
         ------
@@ -169,7 +175,8 @@ class ColourTransport(LightTransport):
             If the file is missing, corrupt, or inconsistent.
         """
         beside = ("format", "same_as", "matrices", "decoded")
-        arrays = read_npz(path, (*beside, *(f"{b}_{name}" for b in BANDS for name in ENTRIES)))
+        names = (*beside, *(f"{band}_{name}" for band in BANDS for name in ENTRIES))
+        arrays = read_npz(path, names, content)
         where = f"{path}: format"
         if int(arrays.get("format", np.array(0)).ravel()[0]) != COLOUR:
             raise InputError(where, f"{COLOUR}, of light transport in colour", "another")

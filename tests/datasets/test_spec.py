@@ -244,6 +244,7 @@ class TestRefused:
                 ("scene.light.bounces", "a number in the scene"),
             ),
             ({"scene": _scene(focus={"settings": 3})}, ("no focus settings",)),
+            ({"scene": _scene(colour={"bayer": "RGGB"})}, ("scene.colour", "no colour")),
             ({"scene": _scene(calibration={"rig": "a.yaml"})}, ("calibration.rig", "std alone")),
             ({"scene": _scene(extends="nowhere")}, ("extends", "nowhere")),
             ({"patterns": [{"sequence": "ten"}]}, ("patterns[0]", "'ten'")),

@@ -10,7 +10,8 @@ from scenes_small import run_cli, small, truth_of
 
 from slbench.bench.compare.compare import compare
 from slbench.capture.capture import Capture
-from slbench.core.colour import BANDS
+from slbench.capture.focus import Focus
+from slbench.core.colour import BANDS, decode_srgb
 from slbench.core.errors import InputError
 from slbench.core.io import read_colour
 from slbench.patterns import PatternSequence
@@ -337,3 +338,58 @@ def test_scan_from_the_command_line(tmp_path):
     refused = run_cli("scan", path, "--patterns", "1,16@3+rgb", "--set", "colour.bayer=RGBG")
     assert refused.status == 2
     assert len(refused.err.splitlines()) == 1
+
+
+def images_of(figure):
+    return [image.get_array() for axes in figure.axes for image in axes.get_images()]
+
+
+def test_pictures_are_shown_in_colour():
+    found = scan(coloured("1,16@3+rgb", response=RESPONSE), seed=1)
+    shown = [one for one in images_of(found.plot()) if one.ndim == 3 and one.shape[2] == 3]
+    values = found.capture.pictures.values
+    assert len(shown) == 1
+    # The first of the finest fringes is the second picture; brightness is that of a display.
+    assert shown[0].shape == values[1].shape
+    np.testing.assert_allclose(decode_srgb(shown[0]), values[1] / 255.0, atol=1e-9)
+    drawn = images_of(found.capture.plot())
+    assert [one.shape for one in drawn] == [values[0].shape] * 2
+
+
+def test_a_focus_stack_in_colour_is_fused_frame_by_frame(tmp_path):
+    distances = small("plane").rig.camera.lens.focus_distance_mm
+    focus = Focus({"camera": (0.97 * distances, distances), "projector": (800.0, 800.0)})
+    scene = replace(coloured("white+1,16@3", response=RESPONSE), focus=focus)
+    found = scan(scene, seed=1)
+    assert [len(one.pictures.values) for one in found.stack.captures] == [7, 7]
+    # What is fused is the decoded channel; pictures of single settings stay as they were seen.
+    assert found.capture.pictures is None
+    assert found.score.completeness > 0.9
+    found.stack.save(tmp_path / "stack")
+    pictures = list((tmp_path / "stack").glob("focus*/frames/*.png"))
+    assert len(pictures) == 14
+    assert read_colour(pictures[0]).ndim == 3
+
+
+def test_pictures_for_a_projector_in_colour(tmp_path):
+    words = ("patterns", "write", "white+1,16@3+rgb", "--panel", "64x48")
+    done = run_cli(*words, "--out", tmp_path / "shown")
+    assert done.status == 0, done.err
+    white, first, _ = (read_colour(tmp_path / f"shown/patterns/{k:03d}.png") for k in range(3))
+    assert white.min() == 255
+    sequence = PatternSequence.parse("1@3", (64, 48))
+    for k in range(3):  # three shifts, to half a level of the panel
+        np.testing.assert_allclose(first[..., k], 255.0 * sequence.image(k), atol=0.51)
+
+
+def test_a_matrix_of_ones_own_is_what_an_operator_believes():
+    sequence = coloured("1,16@3+rgb", albedo=None, response=RESPONSE).sequence
+    believed = ((0.9, 0.1, 0.0), (0.1, 0.8, 0.1), (0.0, 0.1, 0.9))
+    stated = replace(sequence, crosstalk=believed)
+    scene = coloured("1,16@3+rgb", albedo=None, response=RESPONSE)
+    wrong = scan(replace(scene, sequence=stated), seed=1, noise=False)
+    right = scan(scene, seed=1, noise=False)
+    assert wrong.capture.sequence.crosstalk == believed
+    np.testing.assert_array_equal(wrong.capture.frames, right.capture.frames)
+    # A twentieth of the light in another channel, beside sampling and square pixels alone.
+    assert wrong.floor_rms_px > 3.0 * right.floor_rms_px

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 PatternText = Annotated[
     str,
     typer.Argument(
-        help='A pattern set: "1,10,50@4", "gray+16@8"; a TOML file, a folder of pictures, '
-        "mine.py:SET."
+        help='A pattern set: "1,10,50@4", "gray+16@8", in colour "1,16@3+rgb"; a TOML file, '
+        "a folder of pictures, mine.py:SET."
     ),
 ]
 Panel = Annotated[

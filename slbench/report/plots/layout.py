@@ -198,7 +198,7 @@ class Sheet:
         Parameters
         ----------
         box : Place
-        image : (V, U) or (V, U, 4) array
+        image : (V, U), (V, U, 3) or (V, U, 4) array
             v downwards; pixels are shown as they are.
         colours : str or colour map, optional
         limits : (float, float), optional
@@ -228,12 +228,14 @@ class Sheet:
     ) -> AxesImage:
         """Draw an image with its title, the camera's pixels and a colour bar into a cell.
 
+        A picture in colour has no bar.
+
         Parameters
         ----------
         place : Place
             Of the whole cell.
-        image : (V, U) array
-            NaN is grey.
+        image : (V, U) array, or (V, U, 3)
+            NaN is grey; in colour, in [0, 1] and encoded for a display.
         title : str
         colours : str
             Name of a colour map.
@@ -244,22 +246,26 @@ class Sheet:
         robust : float
             Otherwise they end at these percentiles from below and above.
         """
-        rows, columns = image.shape
+        rows, columns = image.shape[:2]
         box = place.within().fitted(rows / columns)
         # Every n-th pixel where more could not be seen anyway.
         step = max(1, math.floor(columns / (_OVERSAMPLED * box.width)))
         small = image[::step, ::step]
-        low, high = limits or limits_of(small, robust)
+        coloured = small.ndim == 3
+        low, high = (0.0, 1.0) if coloured else limits or limits_of(small, robust)
         if low == high:
             low, high = low - 0.5, high + 0.5
         self.ground(box)
-        shown = self.raster(box, small, colours, (low, high))
+        shown = (
+            self.raster(box, small) if coloured else self.raster(box, small, colours, (low, high))
+        )
         self.frame(box)
         self.title(box, title)
         # Pixel centres at integers, v downwards.
         window = Window(box, (-0.5, columns - 0.5), (rows - 0.5, -0.5))
         self.ticks(window, "u / px", "v / px", most=(4, 4))
-        self.bar(box, colours, (low, high), unit)
+        if not coloured:
+            self.bar(box, colours, (low, high), unit)
         return shown
 
     def bar(self, box: Place, colours: Any, limits: tuple[float, float], unit: str) -> None:

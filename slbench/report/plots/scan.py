@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from slbench.core.colour import encode_srgb
 from slbench.core.show.display import LengthUnit, length_unit
 from slbench.core.show.document import shown
 from slbench.patterns import Axis
@@ -125,9 +126,13 @@ def _image(
 def _seen(scan: Scan) -> list[Panel]:
     axes = list(scan.phase.coordinate)
     (frame, phase), title = _frame_and_phase(scan, axes[0])
-    found = [
-        _image(scan.capture.frames[frame], title, "One frame as the camera gave it.", "gray", "DN")
-    ]
+    caption, seen = "One frame as the camera gave it.", scan.capture.frames[frame]
+    pictures = scan.capture.pictures
+    if pictures is not None:
+        k = frame // len(pictures.channels)
+        title, caption = f"Picture {k}", "One picture as the camera gave it, encoded for a display."
+        seen = encode_srgb(pictures.values[k] / scan.capture.top_dn)
+    found = [_image(seen, title, caption, "gray", "DN")]
     if phase is not None:
         caption = "What the finest patterns say of each pixel before the fringe order is known."
         title = "Relative phase of that set"

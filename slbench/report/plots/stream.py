@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from slbench.capture.capture import Capture
+from slbench.capture.capture import Capture, ColourPictures
 from slbench.capture.fusion.photographs import FusedPhotographs
 from slbench.capture.stack import FocusStack
 from slbench.cloud.triangulation import PointCloud
+from slbench.core.colour import encode_srgb
 from slbench.patterns import Axis, PatternSequence, PhaseMap
 from slbench.report.plots.draw import draw_image
 
@@ -77,9 +78,23 @@ def frames(capture: Capture) -> Figure:
     matplotlib Figure
     """
     count, rows, columns = capture.frames.shape
+    if capture.pictures is not None:
+        return _pictures(capture, capture.pictures)
     chosen = _chosen(count, _MOST)
     figure = _grid([(f"frame {k}", capture.frames[k]) for k in chosen])
     what = "frames" if len(chosen) == count else f"frames, {len(chosen)} of them shown"
+    title = f"{{{capture.sequence.name}}}: {count} {what}, {columns} x {rows} px"
+    figure.suptitle(title, parse_math=False)
+    return figure
+
+
+def _pictures(capture: Capture, pictures: ColourPictures) -> Figure:
+    """Draw pictures in colour, or an even choice of many."""
+    count, rows, columns, _ = pictures.values.shape
+    chosen = _chosen(count, _MOST)
+    shown = [(f"picture {k}", encode_srgb(pictures.values[k] / capture.top_dn)) for k in chosen]
+    figure = _grid(shown)
+    what = "pictures" if len(chosen) == count else f"pictures, {len(chosen)} of them shown"
     title = f"{{{capture.sequence.name}}}: {count} {what}, {columns} x {rows} px"
     figure.suptitle(title, parse_math=False)
     return figure
@@ -197,10 +212,10 @@ def cloud(cloud: PointCloud) -> Figure:
 
 
 def _grid(named: list[tuple[str, NDArray[Any]]], unit: str = "DN") -> Figure:
-    """Draw small pictures in one grey scale, each under its name."""
+    """Draw small pictures in one grey scale, or in colour, each under its name."""
     across = min(len(named), _COLUMNS)
     down = math.ceil(len(named) / _COLUMNS)
-    rows, columns = named[0][1].shape
+    rows, columns = named[0][1].shape[:2]
     step = max(1, max(rows, columns) // _SIDE)
     small = [image[::step, ::step] for _, image in named]
     height = 3.4 * rows / columns + 0.3
@@ -212,7 +227,8 @@ def _grid(named: list[tuple[str, NDArray[Any]]], unit: str = "DN") -> Figure:
         axes.set_title(name, fontsize=9)
     for axes in grid:
         axes.set_axis_off()
-    figure.colorbar(shown, ax=grid.tolist(), label=unit, shrink=0.8)
+    if small[0].ndim == 2:
+        figure.colorbar(shown, ax=grid.tolist(), label=unit, shrink=0.8)
     return figure
 
 
