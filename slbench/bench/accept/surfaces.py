@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.bench.accept.definitions import DISPERSION_SHARE
+from slbench.cloud.fits.covariance import along_lines
 from slbench.cloud.fits.squares import core
 from slbench.cloud.triangulation import Axis
 from slbench.core.errors import InputError
@@ -33,8 +34,6 @@ Array = NDArray[np.float64]
 #: Draws of noise that a form's deviation is taken from: known to 5 %.
 _DRAWS = 200
 _SEED = 20_634
-#: Lines that points are taken together along, where each point's noise is not predicted.
-_LEAST_LINES = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,26 +182,20 @@ class Fit:
         """Return what noise makes of the parameters, (k, k), mm^2.
 
         By the predicted noise of each point where there is any.  By the scatter of the residuals
-        otherwise, summed over whole lines where lines are known: it then holds what does not
-        repeat to zero as well.
+        otherwise, along whole lines where five or more are known
+        (:func:`~slbench.cloud.fits.covariance.along_lines`): it then holds what does not repeat to
+        zero as well.
         """
         inverse, noise = self.inverse, self.noise()
         if noise is not None:
             scaled = inverse * noise
             return np.asarray(scaled @ scaled.T)
         inner = self.inliers
-        freedom = max(int(np.count_nonzero(inner)) - len(inverse), 1)
-        own = np.where(inner, self.residuals, 0.0)
-        lines = self.points.lines
-        classical = inverse @ inverse.T * float(own @ own) / freedom
-        if lines is None or len(np.unique(lines[inner])) < max(_LEAST_LINES, len(inverse) + 1):
-            return np.asarray(classical)
-        _, line = np.unique(lines, return_inverse=True)
-        sums = np.stack([np.bincount(line, row * own) for row in inverse])
-        count = sums.shape[1]
-        robust = sums @ sums.T * count / max(count - len(inverse), 1)
-        raised = np.sqrt(np.maximum(np.diag(classical) / np.maximum(np.diag(robust), 1e-300), 1.0))
-        return np.asarray(robust * np.outer(raised, raised))
+        parts = self.design[inner], self.residuals[inner]
+        apart = np.arange(len(parts[1]))
+        lines = apart if self.points.lines is None else self.points.lines[inner]
+        together = along_lines(*parts, lines)
+        return together if np.all(np.isfinite(together)) else along_lines(*parts, apart)
 
     def change(self, displacement: Array) -> tuple[Array, Array]:
         """Return what displacements (N, 3) make of parameters and residuals, to first order."""

@@ -59,8 +59,10 @@ def _places(axes: Axes, result: Acceptance, across: int, up: int) -> None:
         kind = place.place.standard.kind
         count[kind] += 1
         names_at.append((f"{kind[0]}{count[kind]}", _place(axes, place, across, up)))
-    for label, at in _together(names_at):
-        axes.annotate(label, at, (2, 2), textcoords="offset points", fontsize=7, color="0.1")
+    for label, (x, y) in _together(names_at):
+        axes.annotate(
+            label, (float(x), float(y)), (2, 2), textcoords="offset points", fontsize=7, color="0.1"
+        )
     names = "xyz"
     axes.set_xlabel(f"{names[across]} / mm")
     axes.set_ylabel(f"{names[up]} / mm")
