@@ -38,6 +38,7 @@ from slbench.rig import Pose, Rig
 from slbench.scene.calibration import Calibration, calibration_of
 from slbench.scene.colour import Colour
 from slbench.scene.environment import Environment, Radiance
+from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
 from slbench.scene.materials import Material
 
 #: What is projected on a scene that states no patterns.
@@ -151,11 +152,27 @@ class Exposure(Value):
         as a fraction of saturation.
     vibration_px : float
         Standard deviation of the picture's shift from frame to frame, along u and v.
+    bit_planes : BitPlanes or None
+    trigger : Trigger or None
+    drift : Drift or None
+        Frame errors (:mod:`slbench.scene.frame_errors`); None for none.
     """
 
     time_s: Positive | None = None
     white_level: Fraction = 0.8
     vibration_px: Vibration = 0.0
+    bit_planes: BitPlanes | None = None
+    trigger: Trigger | None = None
+    drift: Drift | None = None
+
+    @property
+    def has_frame_errors(self) -> bool:
+        """Whether pictures are off by bit planes, lost triggers or a lamp's drift."""
+        return any(one is not None for one in (self.bit_planes, self.trigger, self.drift))
+
+    def without_frame_errors(self) -> Self:
+        """Return the exposure of a projector and a trigger without fault."""
+        return replace(self, bit_planes=None, trigger=None, drift=None)
 
 
 @dataclass(frozen=True, eq=False)

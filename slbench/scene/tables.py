@@ -29,6 +29,7 @@ from slbench.core.validation.types import (
     Samples,
     Seed,
     Shading,
+    Share,
     Vector,
     Vibration,
 )
@@ -38,6 +39,7 @@ from slbench.rig.optics.response import ResponseCurve
 from slbench.scene.colour import Colour
 from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
 from slbench.scene.environment import Environment, environment_of
+from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
 
 
 class LensBeside(Parameters):
@@ -225,12 +227,40 @@ class EnvironmentTable(Parameters):
         )
 
 
+class BitPlanesTable(Parameters):
+    """``[exposure.bit_planes]``: grey levels of a micromirror device, and the exposure's time."""
+
+    period_ms: Measure | None = None
+    periods: Measure | None = None
+    planes: Annotated[int, Field(ge=1, le=16)] | None = None
+    first: Literal["most", "least"] = "most"
+    start: Share = 0.0
+    free_running: bool = False
+
+    @model_validator(mode="after")
+    def _one_way(self) -> BitPlanesTable:
+        if (self.period_ms is None) == (self.periods is None):
+            raise ValueError("one of period_ms or periods")
+        if self.free_running and self.start:
+            raise ValueError("a start of frames that are not free_running")
+        return self
+
+    def value(self) -> BitPlanes:
+        """Return what the table says."""
+        rest = self.model_dump(exclude={"period_ms"})
+        period = None if self.period_ms is None else self.period_ms * 1e-3
+        return BitPlanes(period_s=period, **rest)
+
+
 class ExposureTable(Parameters):
-    """``[exposure]``: time or level, and vibration."""
+    """``[exposure]``: time or level, vibration and frame errors."""
 
     time_ms: Measure | None = None
     white_level: Fraction = 0.8
     vibration_px: Vibration = 0.0
+    bit_planes: BitPlanesTable | None = None
+    trigger: Trigger | None = None
+    drift: Drift | None = None
 
 
 class FocusTable(Parameters):

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -25,6 +25,7 @@ from slbench.rig import Camera, Projector, Rig
 from slbench.scene.doubts import unlit
 from slbench.scene.model import Exposure, Scene
 from slbench.simulate.colour import ColourTransport, exposed, noise_of
+from slbench.simulate.frame_errors import FrameErrors, frame_errors
 from slbench.simulate.transport import LightTransport
 
 #: Exposure time that the dark signal is computed with where the light's power is unknown (a
@@ -81,7 +82,7 @@ def capture(
     seed : int
         Of temporal noise and vibration.  The fixed pattern has the detector's own seed.
     noise : bool
-        False: the expected frames, rounded once, without vibration.
+        False: the expected frames, rounded once, without vibration and random frame errors.
     shutter : Shutter, optional
         Where another transport of the scene sets it (:func:`shutter_for`).
     on_progress : callable, optional
@@ -96,6 +97,7 @@ def capture(
     n_pictures = -(-sequence.n_frames // sequence.channels)
     dtype = np.uint8 if detector.bit_depth == 8 else np.uint16
     rng = generator(seed, Word.NOISE)
+    errors = frame_errors(exposure, rig.projector, n_pictures, exposure_s, seed=seed, noise=noise)
     moves = None
     if noise and exposure.vibration_px > 0:  # channels of a picture move together
         moves = generator(seed, Word.VIBRATION).normal(0.0, exposure.vibration_px, (n_pictures, 2))
@@ -106,7 +108,7 @@ def capture(
         colour = transport.colour
         values = np.empty((n_pictures, *transport.shape, len(BANDS)), dtype)
         streams = rng.spawn(len(BANDS))
-        for indices, seen in _picture_batches(transport, sequence, rig.projector):
+        for indices, seen in _picture_batches(transport, sequence, rig.projector, errors=errors):
             if moves is not None:
                 for channel in seen:
                     move_pictures(channel, moves[indices])
@@ -120,7 +122,7 @@ def capture(
         model = noise_of(colour, detector, pictures.channels) if noise else quiet
     else:
         frames = np.empty((sequence.n_frames, *transport.shape), dtype)
-        for indices, radiance in radiance_batches(transport, sequence, rig.projector):
+        for indices, radiance in radiance_batches(transport, sequence, rig.projector, errors):
             if moves is not None:
                 move_pictures(radiance, moves[indices // sequence.channels])
             frames[indices] = detector.expose(radiance, exposure_s, rng, noise, factor)
@@ -142,7 +144,10 @@ def capture(
 
 
 def radiance_batches(
-    transport: LightTransport, sequence: PatternSequence, projector: Projector
+    transport: LightTransport,
+    sequence: PatternSequence,
+    projector: Projector,
+    errors: FrameErrors | None = None,
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
     """Yield frame indices and their radiance images, a bounded number at a time.
 
@@ -151,15 +156,47 @@ def radiance_batches(
     if isinstance(transport, ColourTransport):
         packed = sequence.channels > 1
         wanted = range(len(BANDS)) if packed else (transport.colour.decoded,)
-        for pictures, seen in _picture_batches(transport, sequence, projector, tuple(wanted)):
+        given = transport, sequence, projector, tuple(wanted), errors
+        for pictures, seen in _picture_batches(*given):
             indices = (pictures[:, np.newaxis] * len(wanted) + np.arange(len(wanted))).ravel()
             yield indices, seen.swapaxes(0, 1).reshape(-1, *transport.shape)
         return
     for along in sequence.variations:
         indices = sequence.frames_along(along)
         for part in transport.batches(len(indices), along=along):
-            panel = _emitted(sequence, indices[part], along, projector)
-            yield indices[part], transport.relight(panel, along)
+            chosen = indices[part]
+            pictures = chosen // sequence.channels
+            panel = _emitted(sequence, chosen, along, projector, errors, pictures)
+            radiance = transport.relight(panel, along)
+            for k, (frame, picture) in enumerate(zip(chosen, pictures, strict=True)):
+                if errors is not None and errors.is_other(picture):
+                    channel = int(frame % sequence.channels)
+                    parts = transport, sequence, projector, errors
+                    radiance[k] = _seen_instead(*parts, int(picture), channel)
+            yield chosen, radiance
+
+
+def _seen_instead(
+    transport: LightTransport,
+    sequence: PatternSequence,
+    projector: Projector,
+    errors: FrameErrors,
+    picture: int,
+    channel: int,
+) -> NDArray[np.float32]:
+    """Return the radiance (V, U) of a picture that sees other patterns than its own."""
+    found = np.zeros(transport.shape, np.float32)
+    for source, share in errors.seen_in(picture):
+        frame = np.array([source * sequence.channels + channel])
+        along = _variation(sequence, int(frame[0]))
+        panel = _emitted(sequence, frame, along, projector, errors, np.array([picture]))
+        found += np.float32(share) * transport.relight(panel, along)[0]
+    return found
+
+
+def _variation(sequence: PatternSequence, frame: int) -> Variation:
+    """Return what a frame varies along."""
+    return next(a for a in sequence.variations if frame in sequence.frames_along(a))
 
 
 def _picture_batches(
@@ -167,35 +204,70 @@ def _picture_batches(
     sequence: PatternSequence,
     projector: Projector,
     channels: Sequence[int] = (0, 1, 2),
+    errors: FrameErrors | None = None,
 ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
     """Yield indices of pictures in colour (n,) and what channels see of them, (channels, n, V, U).
 
     A grey pattern is shown by all three primaries.
     """
-    panel = projector.bit_depth, projector.gamma, projector.curve
     count = sequence.channels
+
+    def seen(shown: NDArray[np.intp], at: NDArray[np.intp], along: Variation) -> Any:
+        frames = (shown[:, np.newaxis] * count + np.arange(count)).ravel()
+        panel = _panel(sequence, frames, along, projector, errors, np.repeat(at, count))
+        primaries = panel.reshape(-1, count, *panel.shape[1:]).swapaxes(0, 1)
+        if count == 1:
+            primaries = np.concatenate([primaries] * len(BANDS))
+        return transport.seen(primaries, along, channels)
+
     for along in sequence.variations:
         pictures = np.unique(sequence.frames_along(along) // count)
         for part in transport.batches(len(pictures), _COLOUR_BYTES, along=along):
-            frames = (pictures[part, np.newaxis] * count + np.arange(count)).ravel()
-            shown = panel_response(sequence.shown(frames, along), *panel)
-            primaries = shown.reshape(-1, count, *shown.shape[1:]).swapaxes(0, 1)
-            if count == 1:
-                primaries = np.concatenate([primaries] * len(BANDS))
-            yield pictures[part], transport.seen(primaries, along, channels)
+            chosen = pictures[part]
+            found = seen(chosen, chosen, along)
+            for k, picture in enumerate(chosen):
+                if errors is not None and errors.is_other(picture):
+                    own = chosen[k : k + 1]
+                    found[:, k] = sum(
+                        share * seen(np.array([one]), own, _variation(sequence, one * count))
+                        for one, share in errors.seen_in(picture)
+                    )[:, 0]
+            yield chosen, found
 
 
 def _emitted(
-    sequence: PatternSequence, indices: NDArray[np.intp], along: Variation, projector: Projector
+    sequence: PatternSequence,
+    indices: NDArray[np.intp],
+    along: Variation,
+    projector: Projector,
+    errors: FrameErrors | None,
+    pictures: NDArray[np.intp],
 ) -> NDArray[np.float64]:
-    """Return what the panel emits in frames, as their channels of the camera see it."""
-    panel = projector.bit_depth, projector.gamma, projector.curve
+    """Return what the panel emits in frames, as their channels of the camera see it.
+
+    `pictures` (n,) are those in which the frames are seen: their own, or those of lost triggers.
+    """
     if sequence.crosstalk is None:
-        return panel_response(sequence.shown(indices, along), *panel)
-    firsts = np.unique(indices - indices % sequence.channels)
+        return _panel(sequence, indices, along, projector, errors, pictures)
+    firsts, first = np.unique(indices - indices % sequence.channels, return_index=True)
     whole = (firsts[:, np.newaxis] + np.arange(sequence.channels)).ravel()
-    shown = panel_response(sequence.shown(whole, along), *panel)
+    at = np.repeat(pictures[first], sequence.channels)
+    shown = _panel(sequence, whole, along, projector, errors, at)
     return mixed(shown, sequence.crosstalk)[np.searchsorted(whole, indices)]
+
+
+def _panel(
+    sequence: PatternSequence,
+    frames: NDArray[np.intp],
+    along: Variation,
+    projector: Projector,
+    errors: FrameErrors | None,
+    pictures: NDArray[np.intp],
+) -> NDArray[np.float64]:
+    """Return the panel's own light in frames, as it is seen in pictures."""
+    panel = projector.bit_depth, projector.gamma, projector.curve
+    shown = panel_response(sequence.shown(frames, along), *panel)
+    return shown if errors is None else errors.panel(shown, pictures)
 
 
 def shutter_for(

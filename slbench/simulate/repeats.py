@@ -172,7 +172,7 @@ def _frames(
     scene: Scene, transport: LightTransport, pixels: NDArray[np.intp], repeats: int, seed: int
 ) -> Iterator[NDArray[Any]]:
     """Yield the frames of each repeat at the pixels, (N, P)."""
-    if scene.exposure.vibration_px > 0.0:  # moves whole images
+    if scene.exposure.vibration_px > 0.0 or scene.exposure.has_frame_errors:  # of whole images
         for r in range(repeats):
             (shots,) = capture_stack(scene, (transport,), seed=tagged_seed(seed, r)).captures
             yield shots.frames.reshape(len(shots.frames), -1)[:, pixels]

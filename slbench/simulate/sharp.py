@@ -55,8 +55,9 @@ def all_in_focus(
     middle = _middle(stack)
     shutter = stack_shutter(stack, transport, detector, exposure)
     rig = _rig(middle).all_in_focus()
+    faultless = exposure.without_frame_errors()
     return capture(
-        transport, middle.sequence, rig, detector, exposure, noise=False, shutter=shutter
+        transport, middle.sequence, rig, detector, faultless, noise=False, shutter=shutter
     )
 
 

@@ -29,6 +29,7 @@ from slbench.rig.parameters import RIG_PARAMETERS, moved
 from slbench.scene.model import Scene
 from slbench.score.features import fit_features
 from slbench.simulate.expose import lighting, move_pictures, radiance_batches, shutter_for
+from slbench.simulate.frame_errors import frame_errors
 from slbench.simulate.lights import Lights
 from slbench.simulate.reconstruct import joining_motion
 from slbench.simulate.transport import LightTransport
@@ -286,7 +287,11 @@ class Measurement:
             with located(f"budget: a draw of {GAMMA}"):
                 projector = replace(projector, gamma=float(gamma))
         out = np.empty((sequence.n_frames, *light.shape), np.float32)
-        for indices, radiance in radiance_batches(light, sequence, projector):
+        # Of frame errors what is the same in every scan.
+        pictures = -(-sequence.n_frames // sequence.channels)
+        given = self._scene.exposure, projector, pictures, self._shutter.time_s
+        errors = frame_errors(*given, seed=0, noise=False)
+        for indices, radiance in radiance_batches(light, sequence, projector, errors):
             out[indices] = radiance
         return out
 

@@ -9,7 +9,7 @@ footprint and the samples of the light.  To this, one source at a time is added.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, TypeVar
 
@@ -21,7 +21,7 @@ from slbench.bench.compare.sets import PatternSet
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSource
 from slbench.rig import Camera, Projector
-from slbench.scene.model import Light, Scene
+from slbench.scene.model import Exposure, Light, Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.expose import lighting, shutter_for
 from slbench.simulate.lights import Lights
@@ -106,7 +106,7 @@ def ideal(scene: Scene, *, lenses: bool = False) -> Scene:
             dsnu_e=0.0,
             seed=real.seed,
         ),
-        exposure=replace(scene.exposure, vibration_px=0.0),
+        exposure=replace(scene.exposure.without_frame_errors(), vibration_px=0.0),
         light=Light(),
         calibration=None,
     )
@@ -249,7 +249,22 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
         name = f"vibration, {scene.exposure.vibration_px:g} px"
         shaken = moving(lit, scene.exposure.vibration_px)
         found.append(Source(name, "random", shaken, repeats * VIBRATION_REPEATS))
-    return found
+    return [*found, *_frame_errors(scene.exposure, lit, repeats)]
+
+
+def _frame_errors(exposure: Exposure, lit: Scene, repeats: int) -> Iterator[Source]:
+    """Yield the frame errors of an exposure, each alone."""
+    planes, trigger, drift = exposure.bit_planes, exposure.trigger, exposure.drift
+    alone = exposure.without_frame_errors()
+    drawn = planes is not None and planes.free_running, trigger is not None and trigger.rate > 0.0
+    for name, chance, own in (
+        ("grey levels by bit planes", drawn[0], planes and replace(alone, bit_planes=planes)),
+        ("lost triggers", drawn[1], trigger and replace(alone, trigger=trigger)),
+        ("brightness drift", False, drift and replace(alone, drift=drift)),
+    ):
+        if own:
+            shot = replace(lit, exposure=replace(own, vibration_px=0.0))
+            yield Source(name, "random" if chance else "steady", shot, repeats if chance else 2)
 
 
 def measure_sources(

@@ -31,6 +31,7 @@ from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
 from slbench.rig.optics.response import Response
 from slbench.scene.colour import Colour
 from slbench.scene.environment import environment_of
+from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
 from slbench.scene.new.devices import Lenses
 from slbench.scene.new.place import Place
@@ -84,6 +85,9 @@ VALUES = [
     Capture(np.zeros((3, 48, 64), np.uint8), SEQUENCE),
     load_hardware("hardware/macro-ch6"),
     Exposure(),
+    BitPlanes(periods=1.5),
+    Trigger(),
+    Drift(),
     Colour(),
     Light(),
     environment_of("window", irradiance_w_per_mm2=1e-5),
