@@ -93,6 +93,7 @@ def values(tmp_path_factory):
         *(scan.transport, scan.truth, scan.capture, scan.phase, scan.cloud, scan.score),
         *(scene, scene.objects[0], scene.objects[0].material, scene.detector),
         sl.scene.environment_of("window", irradiance_w_per_mm2=1e-5),
+        *(sl.scene.BitPlanes(periods=1.5), sl.scene.Trigger(lost=(3,)), sl.scene.Drift(change=0.1)),
         *(scene.light, scene.exposure, scene.sequence, sl.scene.Status.LIT),
         sl.calibration.FreeBoard(kind="chequerboard", columns=9, rows=7, pitch_mm=5.0),
         *(scene.rig, scene.rig.camera, scene.rig.projector, scene.rig.camera.pose, scene.rig.only),
