@@ -227,7 +227,7 @@ def torch_exposure(
     ----------
     transport : LightTransport
     camera, projector, detector, exposure
-        Of the scene.
+        Of the scene; vibration and frame errors are left out.
     along, pixels, dense, dtype, device
         As :meth:`slbench.simulate.transport.LightTransport.torch` takes them.
     gamma : tensor or Parameter, optional
