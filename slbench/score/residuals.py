@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 SET_ASIDE = 0.003
 #: Fewer points than this carry no feature.
 MIN_POINTS = 20
-#: Stripes of a feature, at least and at most.
-_FEWEST_STRIPES, _MOST_STRIPES = 12, 400
+#: Stripes of a feature, at least and at most, and points of each.
+_FEWEST_STRIPES, _MOST_STRIPES, _OF_STRIPE = 12, 400, 5
 
 
 def facing(rig: Rig, points: Array, normals: Array, furthest: float) -> NDArray[np.bool_]:
@@ -43,15 +43,15 @@ def facing(rig: Rig, points: Array, normals: Array, furthest: float) -> NDArray[
 
 
 def stripes_of(points: Array) -> NDArray[np.intp]:
-    """Return the stripe of each point (N, 3), across their longest axis and about as wide as long.
+    """Return the stripe of each point (N, 3), across their longest axis.
 
     For clouds whose image lines are not known: errors go together within a stripe, and from one to
-    the next (:func:`~slbench.cloud.fits.covariance.along_lines`).  A stripe has about as many
-    points as there are stripes; there are twelve of them at least.
+    the next (:func:`~slbench.cloud.fits.covariance.along_lines`).  Stripes have five points or
+    more, as far as there are twelve of them: few stripes tell little of how errors go together.
     """
     off = points - points.mean(axis=0)
     along = product(off, np.linalg.eigh(off.T @ off)[1][:, -1])
-    count = min(max(round(np.sqrt(len(points))), _FEWEST_STRIPES), _MOST_STRIPES)
+    count = min(max(len(points) // _OF_STRIPE, _FEWEST_STRIPES), _MOST_STRIPES)
     width = max(float(np.ptp(along)), 1e-300)
     return np.minimum((count * (along - along.min()) / width).astype(np.intp), count - 1)
 

@@ -155,7 +155,7 @@ def test_faces_by_the_names_that_files_keep(tmp_path):
 
 def test_faces_of_a_step_file_by_their_numbers(tmp_path):
     """A block as above, as Open CASCADE writes it: seven faces, the bore's wall the last."""
-    pytest.importorskip("cascadio")
+    pytest.importorskip("cascadio", reason="the extra step is not installed")
     mesh = DATA / "block-with-bore.step"
     text = feature("faces = 7") + feature("faces = [3]\nmargin_mm = 1", "top", "plane")
     file = write_part(tmp_path, text)

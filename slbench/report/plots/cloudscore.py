@@ -64,7 +64,8 @@ def _histogram(axes: Any, result: CloudScore, own: Array, limit: float, unit: An
     text = (
         f"red: 3 expected deviations\n({result.expected.source})\n{outside:.2g} % beyond the ends"
     )
-    axes.text(0.02, 0.98, text, transform=axes.transAxes, va="top", fontsize=8)
+    plain = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 1.0}
+    axes.text(0.02, 0.98, text, transform=axes.transAxes, va="top", fontsize=8, bbox=plain)
     axes.set_title("Distribution", fontsize=10)
     axes.set_xlabel(f"deviation / {unit.name}", fontsize=9)
     axes.set_ylabel("points", fontsize=9)

@@ -16,7 +16,7 @@ from slbench.cloud.files.measured import MeasuredCloud
 from slbench.core.errors import InputError
 from slbench.objects import Artefact
 from slbench.rig import Pose
-from slbench.score.clouds.borders import inner_points
+from slbench.score.clouds.borders import Inner, inner_points
 from slbench.score.clouds.cloudscore import CloudScore, score_intervals, unmeasured
 from slbench.score.clouds.expected import DEVIATIONS, check_part, expected_deviations, question_unit
 from slbench.score.clouds.placing import (
@@ -26,7 +26,7 @@ from slbench.score.clouds.placing import (
     place_on_surface,
     plane_behind,
 )
-from slbench.score.clouds.surface import Nearest, Surface
+from slbench.score.clouds.surface import Surface
 from slbench.score.clouds.tiles import effective_tiles, tiles_of
 from slbench.score.features import fit_features
 from slbench.score.points import Score, by_kind
@@ -104,30 +104,35 @@ def score_against_part(
         other = plane_behind(cloud.points, surface.bounds, limit) & ~(away <= limit)
     if np.mean(other) < _LEAST_PLANE:
         other[:] = False  # a few wrong points that lie in a plane of the part
-    kept = ~other
-    expected = replace(expected, mm=expected.mm[kept])
-    cloud, away = cloud.chosen(kept), away[kept]
-    near = Nearest(near.point[kept], near.distance[kept], near.face[kept], near.normal[kept])
+    nearest, distance = near.point, near.distance
+    if other.any():
+        kept = ~other
+        expected = replace(expected, mm=expected.mm[kept])
+        cloud, away = cloud.chosen(kept), away[kept]
+        nearest, distance = nearest[kept], distance[kept]
     share = check_part(cloud, away, expected, part.name)
     on = np.isfinite(away)
-    errors = cloud.points[on] - near.point[on]
+    errors = cloud.points[on] - nearest[on]
     tiles = tiles_of(cloud.points[on])
     lines = None if cloud.pixels is None else cloud.pixels[on, 0]
-    inner = inner_points(cloud.points[on], part)
-    features = fit_features(
-        *(cloud.points[on], part, Pose(), lines),
-        smooth=inner.mask,
-        level=motion is not None,
-        stripes=True,
-    )
-    numbers = _score(cloud, near.distance, errors, surface, features)
+    inner = Inner()
+    features: list[FeatureScore] = []
+    if part.features or part.declared:
+        inner = inner_points(cloud.points[on], part)
+        features = fit_features(
+            *(cloud.points[on], part, Pose(), lines),
+            smooth=inner.mask,
+            level=motion is not None,
+            stripes=True,
+        )
+    numbers = _score(cloud, distance, errors, surface, features)
     return CloudScore(
         score=numbers,
         reference="mesh" if part.kind == "mesh" else "artefact",
         name=part.name,
         source=cloud.source,
         points=cloud.points,
-        deviation_mm=near.distance,
+        deviation_mm=distance,
         share=share,
         expected=expected,
         intervals=score_intervals(tiles, away[on], errors[:, 2]),
@@ -221,8 +226,11 @@ def _covered(points: Array, surface: Surface) -> float:
     base = int(np.ceil(float(np.ptp(surface.bounds, axis=0).max()) / cell)) + 5
 
     def codes(places: Array) -> NDArray[np.int64]:
-        index = np.clip(np.floor((places - low) / cell).astype(np.int64), 0, base - 1)
-        return (index[:, 0] * base + index[:, 1]) * base + index[:, 2]
+        code = np.zeros(len(places), np.int64)
+        for axis in range(3):
+            index = ((places[:, axis] - low[axis]) / cell).astype(np.int32)
+            code = code * base + np.clip(index, 0, base - 1)
+        return code
 
     held = np.zeros(base**3, np.bool_)
     held[codes(points)] = True

@@ -50,7 +50,7 @@ class Inner:
         Points that belong to each feature (circles apart), and those of them that are left out.
     """
 
-    mask: NDArray[np.bool_]
+    mask: NDArray[np.bool_] = field(default_factory=lambda: np.ones(0, np.bool_))
     counts: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     @property

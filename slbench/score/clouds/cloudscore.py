@@ -156,20 +156,20 @@ class CloudScore:
         for kind, lengths in (("step", score.steps), ("spacing", score.spacings)):
             rows += [
                 (
-                    *(f"{kind} {x.name}", x.nominal_mm, x.measured_mm),
+                    *(f"{kind} {x.name}", x.nominal_mm, _digits(x.measured_mm)),
                     *(um * x.deviation_mm, um * x.uncertainty_mm),
                 )
                 for x in lengths
             ]
         for x in score.spheres:
-            measured = (f"radius {x.name}", x.nominal_radius_mm, x.radius_mm)
+            measured = (f"radius {x.name}", x.nominal_radius_mm, _digits(x.radius_mm))
             rows.append((*measured, um * x.radius_deviation_mm, um * x.radius_uncertainty_mm))
             rows.append((f"form {x.name}", 0.0, x.form_mm, um * x.form_mm, None))
         for y in score.planes:
             rows.append((f"flatness {y.name}", 0.0, y.flatness_mm, um * y.flatness_mm, None))
         rows += [
             (
-                *(f"diameter {z.name}", z.nominal_diameter_mm, z.diameter_mm),
+                *(f"diameter {z.name}", z.nominal_diameter_mm, _digits(z.diameter_mm)),
                 *(um * z.diameter_deviation_mm, um * z.diameter_uncertainty_mm),
             )
             for z in (*score.cylinders, *score.circles)
@@ -189,13 +189,17 @@ class CloudScore:
     def verdicts(self) -> Table | None:
         """Return the table of a part's declared dimensions; None where there are none."""
         rows = tuple(
-            (d.name, d.type, d.unit, d.nominal, d.measured, d.uncertainty, d.tolerance, d.verdict)
+            (
+                *(d.name, f"{d.nominal:.7g} {d.unit}", _digits(d.measured)),
+                *(d.uncertainty, d.tolerance, d.verdict),
+            )
             for d in self.score.dimensions
         )
         if not rows:
             return None
-        columns = ("dimension", "type", "unit", "nominal", "measured", "u", "tolerance", "verdict")
-        return Table("Dimensions", columns, rows)
+        columns = ("dimension", "nominal", "measured", "u", "tolerance", "verdict")
+        note = "u: standard uncertainty that the fits leave; verdicts by ISO 14253-1 with k = 2."
+        return Table("Dimensions", columns, rows, note)
 
     def missing(self) -> Table | None:
         """Return the table of what was not measured; None where all was."""
@@ -232,6 +236,11 @@ class CloudScore:
             motion = {"rotation": self.motion.rotation, "position_mm": self.motion.position}
             result |= {"motion": motion, "free": list(self.free)}
         return result
+
+
+def _digits(value: float) -> str:
+    """Return a length or an angle with a tenth of a micrometre, whatever its size."""
+    return f"{value:.4f}"
 
 
 def unmeasured(part: Artefact, score: Score, reason: Callable[[str], str]) -> dict[str, str]:

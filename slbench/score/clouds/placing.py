@@ -49,6 +49,8 @@ _STILL = 1e-5
 #: where along itself it is (graduated non-convexity; Blake and Zisserman, "Visual reconstruction",
 #: 1987).
 _WIDE, _NARROWER = 0.02, 0.75
+#: Points, one of so many, that take part as long as they do.
+_THINNED = 4
 #: Tukey's constant, in deviations (1.4826 MAD).
 TUKEY = 4.685
 #: Motions that move the surface less than this share of the others are not told by it.
@@ -278,11 +280,15 @@ def _refined(
     middle = np.median(points, axis=0)
     size = float(np.linalg.norm(np.std(points, axis=0)))
     pose, wide, steps = start, wide_mm, 0
+    whole, points = points, points[::_THINNED] if wide_mm > 0.0 else points
     while steps < STEPS:
         near = surface.nearest(pose.to_local(points))
         away = np.abs(near.distance)
         scale = usual(away)
         narrow = wide <= scale
+        if narrow and len(points) < len(whole):
+            points = whole
+            continue
         scale, wide, steps = max(scale, wide), _NARROWER * wide, steps + narrow
         normal = product(near.normal, pose.rotation.T)
         residual = np.sum(normal * (points - pose.to_world(near.point)), axis=1)
@@ -410,16 +416,14 @@ def closest_starts(
     surface = np.einsum("nk,nkd->nd", rng.dirichlet((1.0, 1.0, 1.0), _SURFACE), corners)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     turns = Rotation.random(_TURNS, rng=rng).as_matrix()
+    closest = _Closest(surface, normals)
     found = []
     for k, cloud in enumerate(clouds_of(points)):
         some = cloud[rng.choice(len(cloud), min(len(cloud), _CLOUD), replace=False)]
         eye = None if towards is None else towards(np.median(some, axis=0))
-        own = [_closest(surface, normals, some, turn, eye, _FEW) for turn in turns]
+        own = [closest(some, turn, eye, _FEW) for turn in turns]
         own.sort(key=lambda pair: pair[0])
-        best = [
-            _closest(surface, normals, some, pose.rotation, eye, _CLOSEST)
-            for _, pose in own[:_TRIED]
-        ]
+        best = [closest(some, pose.rotation, eye, _CLOSEST) for _, pose in own[:_TRIED]]
         best.sort(key=lambda pair: pair[0])
         size = float(np.linalg.norm(np.std(some, axis=0)))
         found += [(k, pose) for pose in _different([pose for _, pose in best], some, size)]
@@ -449,19 +453,30 @@ def clouds_of(points: Array) -> list[Array]:
     return [points, off] if len(off) >= LEAST else [points]
 
 
-def _closest(
-    surface: Array, normals: Array, points: Array, turn: Array, eye: Array | None, steps: int
-) -> tuple[float, Pose]:
-    """Return the trimmed distance and the pose of iterated closest points."""
-    from scipy.spatial import cKDTree
+class _Closest:
+    """Iterated closest points of a sampled surface (n, 3), whose normals (n, 3) look outwards."""
 
-    seen = surface if eye is None else surface[normals @ (turn.T @ eye) > 0.0]
-    tree = cKDTree(seen)
-    pose = Pose(turn, np.median(points, axis=0) - turn @ np.median(seen, axis=0))
-    distance = np.inf
-    for _ in range(steps):
-        away, nearest = tree.query(pose.to_local(points))
-        kept = away <= np.quantile(away, _KEPT)
-        distance = float(np.sqrt(np.mean(away[kept] ** 2)))
-        pose = rigid_fit(seen[nearest[kept]], points[kept])
-    return distance, pose
+    def __init__(self, surface: Array, normals: Array) -> None:
+        from scipy.spatial import cKDTree
+
+        self._surface, self._normals = surface, normals
+        self._tree = cKDTree(surface)
+
+    def __call__(
+        self, points: Array, turn: Array, eye: Array | None, steps: int
+    ) -> tuple[float, Pose]:
+        """Return the trimmed distance and the pose from a turn (3, 3) of what faces the eye."""
+        from scipy.spatial import cKDTree
+
+        seen, tree = self._surface, self._tree
+        if eye is not None:
+            seen = seen[self._normals @ (turn.T @ eye) > 0.0]
+            tree = cKDTree(seen)
+        pose = Pose(turn, np.median(points, axis=0) - turn @ np.median(seen, axis=0))
+        distance = np.inf
+        for _ in range(steps):
+            away, nearest = tree.query(pose.to_local(points))
+            kept = away <= np.quantile(away, _KEPT)
+            distance = float(np.sqrt(np.mean(away[kept] ** 2)))
+            pose = rigid_fit(seen[nearest[kept]], points[kept])
+        return distance, pose

@@ -33,14 +33,24 @@ class Nearest:
         Of the points, along the normal: positive outside.
     face : (N,) int
         Of the mesh.
-    normal : (N, 3) float
-        Of that face, outward.
+    normals : (F, 3) float
+        Outward normals of all faces of the surface.
+    order : (N,) int
+        Places in `normals` of the points' faces.
     """
 
     point: Array
     distance: Array
     face: NDArray[np.int64]
-    normal: Array
+    normals: Array
+    order: NDArray[np.int32]
+
+    @property
+    def normal(self) -> Array:
+        """Outward normals of the faces, (N, 3)."""
+        normal = self.normals[self.order]
+        normal[self.order < 0] = np.nan
+        return normal
 
 
 class Surface:
@@ -106,9 +116,8 @@ class Surface:
         tree = (self._corners, self._normals, self._boxes, self._leaves)
         out = (point, distance, face, float(reach_mm))
         in_bands(lambda a, b: nearest(points, order, *tree, *out, a, b), count, _LEAST)
-        normal = self._normals[face]
-        normal[face < 0] = np.nan
-        return Nearest(point, distance, np.where(face < 0, -1, self._face[face]), normal)
+        own = np.where(face < 0, -1, self._face[face])
+        return Nearest(point, distance, own, self._normals, face)
 
     def sample(self, count: int, seed: int = 0) -> tuple[Array, Array]:
         """Return points at random on the surface, even by area, and their normals, (count, 3)."""

@@ -35,8 +35,11 @@ def tiles_of(places: Array) -> NDArray[np.intp]:
     """Return the tile of every point by a number of its own, (N,), of places (N, k)."""
     low = places.min(axis=0)
     side = max(float(np.ptp(places, axis=0).max()), 1e-300) / _ALONG
-    cells = np.minimum(np.floor((places - low) / side), _ALONG - 1).astype(np.int64)
-    return cells @ _ALONG ** np.arange(cells.shape[1])
+    tiles = np.zeros(len(places), np.intp)
+    for axis in range(places.shape[1]):
+        cells = ((places[:, axis] - low[axis]) / side).astype(np.int32)
+        tiles += np.minimum(cells, _ALONG - 1) * _ALONG**axis
+    return tiles
 
 
 def effective_tiles(tiles: NDArray[np.intp]) -> float:
