@@ -153,6 +153,16 @@ def test_faces_by_the_names_that_files_keep(tmp_path):
         objects.load_artefact(write_part(tmp_path, feature('faces = "bore"')))
 
 
+def test_a_step_file_without_its_extra_is_one_line_that_names_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "cascadio", None)
+    file = write_part(tmp_path, feature("faces = 7"))
+    (tmp_path / "part.step").write_bytes((DATA / "block-with-bore.step").read_bytes())
+    file.write_text(file.read_text().replace("part.stl", "part.step"))
+    with pytest.raises(InputError, match=r"slbench\[step\]") as refused:
+        objects.load_artefact(file)
+    assert "\n" not in str(refused.value)
+
+
 def test_faces_of_a_step_file_by_their_numbers(tmp_path):
     """A block as above, as Open CASCADE writes it: seven faces, the bore's wall the last."""
     pytest.importorskip("cascadio", reason="the extra step is not installed")

@@ -15,6 +15,7 @@ import io
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -88,10 +89,14 @@ def read_content(path: Path) -> Content:
     Raises
     ------
     InputError
-        If the file is corrupt, of another kind, or names files that are not beside it.
+        If the file is corrupt, of another kind, or names files that are not beside it; of a STEP
+        file without the extra ``step``.
     """
     if path.suffix.lower() not in SUFFIXES:
         raise InputError(path, f"a mesh file ({', '.join(SUFFIXES)})", path.suffix or "no suffix")
+    if path.suffix.lower() in STEP and find_spec("cascadio") is None:
+        extra = "cascadio, which the extra step installs (pip install 'slbench[step]')"
+        raise InputError(path, extra, "not installed")
     check_size(path, _LARGEST, "a mesh file")
     if path.suffix.lower() == ".ply":
         check_ply(path)
