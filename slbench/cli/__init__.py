@@ -54,6 +54,7 @@ SECTIONS = {
         "design": "slbench.cli.design:group",
         "patterns": "slbench.cli.patterns:group",
         "dataset": "slbench.cli.dataset:group",
+        "leaderboard": "slbench.cli.leaderboard:group",
     },
     "Inspect": {
         "rig": "slbench.cli.rig:group",

@@ -205,6 +205,7 @@ class TestShipped:
         kinds = {
             "mixed": {"gear", "coin", "step-block", "free-form"},
             "clutter": {"gear", "step-block", "bracket"},
+            "leaderboard-1": {"gear", "coin", "step-block", "free-form"},
         }
         assert {table["name"] for table in specification.objects} == kinds[name]
 
