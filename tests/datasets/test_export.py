@@ -145,6 +145,9 @@ class TestHdf5:
                 wanted = item.capture("1,10", seed=RECIPE.seed_of(item)).frames
                 np.testing.assert_array_equal(file["frames"][k], wanted)
                 np.testing.assert_array_equal(file["mask"][k], item.truth.lit)
+                np.testing.assert_array_equal(
+                    file["instances"][k].astype(int) - 1, item.truth.object_id
+                )
                 np.testing.assert_array_equal(file["depth"][k], item.truth.depth.astype(np.float32))
             assert file["sample"][:].tolist() == [item.number for item in data]
             assert file["parameters/height_mm"][:].tolist() == data.column("height_mm").tolist()

@@ -45,6 +45,7 @@ class TestItems:
         assert item["frames"].dtype == torch.float32
         truth = sample.truth
         np.testing.assert_array_equal(item["lit"].numpy(), truth.lit)
+        np.testing.assert_array_equal(item["instances"].numpy() - 1, truth.object_id)
         lit = truth.lit
         np.testing.assert_array_equal(
             item["panel"].numpy()[:, lit], np.moveaxis(truth.panel, -1, 0)[:, lit].astype("f4")

@@ -6,6 +6,7 @@ N samples of F frames; lengths in mm, pixels with integer coordinates at their c
 ``frames``         (N, F, V, U)   uint8 or uint16, digital numbers
 ``depth``          (N, V, U)      float32, along the camera's axis; NaN where no surface is
 ``mask``           (N, V, U)      bool, the projector lights the surface
+``instances``      (N, V, U)      uint16, 0 where no object is, k + 1 for object k of the scene
 ``panel``          (N, 2, V, U)   float32, projector column and row that see the point
 ``K_camera``       (N, 3, 3)      and ``K_projector``; ``dist_camera`` and ``dist_projector``
                                   (N, 14) are OpenCV's coefficients
@@ -46,6 +47,7 @@ _UNITS = {
     "frames": "digital number",
     "depth": "mm",
     "mask": "1",
+    "instances": "1",
     "panel": "px",
     "K_camera": "px",
     "K_projector": "px",
@@ -127,6 +129,7 @@ def _arrays(item: Sample, shots: Capture) -> dict[str, NDArray[Any]]:
         "frames": shots.frames,
         "depth": truth.depth.astype(np.float32),
         "mask": truth.lit,
+        "instances": truth.instances,
         "panel": np.moveaxis(truth.panel, -1, 0).astype(np.float32),
         "K_camera": rig.camera.matrix,
         "K_projector": rig.projector.matrix,
@@ -181,6 +184,7 @@ def _describe(file: Any, data: Dataset, recipe: Recipe, shots: Capture) -> None:
     file["frames"].attrs["dimensions"] = "sample, frame, v, u"
     file["depth"].attrs["meaning"] = "along the camera's optical axis; NaN where no surface is"
     file["mask"].attrs["meaning"] = "the pixel's centre ray meets a point that the projector lights"
+    file["instances"].attrs["meaning"] = "0 where no object is, k + 1 for object k of the scene"
     file["panel"].attrs["meaning"] = "projector (u, v) that sees the point; NaN where none"
     file["R"].attrs["meaning"] = "x_projector = R x_camera + t"
 

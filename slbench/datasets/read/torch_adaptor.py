@@ -56,7 +56,8 @@ def tensors(sample: Sample, shots: Capture) -> dict[str, Any]:
     dict
         ``frames`` (N, V, U) float32 in [0, 1], ``depth`` (V, U) float32 in mm, ``panel``
         (2, V, U) float32 in projector pixels, ``lit`` (V, U) bool: where all are defined and
-        the projector's light arrives, and ``sample``, its number.
+        the projector's light arrives, ``instances`` (V, U) int32: 0 where no object is, k + 1 for
+        object k of the scene, and ``sample``, its number.
     """
     torch = _torch()
     truth = sample.truth
@@ -66,6 +67,7 @@ def tensors(sample: Sample, shots: Capture) -> dict[str, Any]:
         "depth": torch.from_numpy(np.nan_to_num(truth.depth).astype(np.float32)),
         "panel": torch.from_numpy(panel),
         "lit": torch.from_numpy(truth.lit),
+        "instances": torch.from_numpy(truth.instances.astype(np.int32)),
         "sample": sample.number,
     }
 

@@ -24,6 +24,7 @@ from slbench.core.random import generator
 from slbench.rig.opencv import write_rig
 from slbench.rig.parameters import ParameterCovariance, moved
 from slbench.scene.calibration import Calibration
+from slbench.scene.frame_errors import Drift, Trigger
 from slbench.simulate.lights import Lights
 
 STEP = "step[5].measured_mm"
@@ -104,6 +105,18 @@ class TestMeasurement:
         assert found[[0, 2]] == pytest.approx([expected[0], expected[2]], rel=2e-3, abs=2e-6)
         assert found[1] == pytest.approx(expected[1], abs=5e-5)
         assert len(model) < 0.7 * scene.rig.camera.width * scene.rig.camera.height
+
+    def test_steady_frame_errors_are_those_of_a_scan(self, scene, lights):
+        drift = Drift(change=0.05, pictures=3.0)
+        exposure = replace(scene.exposure, drift=drift, trigger=Trigger(rate=0.5))
+        fine = replace(scene, detector=replace(scene.detector, bit_depth=16, full_well_e=1e7))
+        drifting = replace(fine, exposure=exposure)
+        flat = "plane[step-block-5/reference].flatness_mm"
+        found, clean = (Measurement(s, [flat], (), lights)({})[0] for s in (drifting, fine))
+        planes = sl.scan(drifting, noise=False, lights=lights).score.planes
+        one = next(p for p in planes if p.name == "reference" and p.object == "step-block-5")
+        assert found == pytest.approx(one.flatness_mm, abs=5e-5)  # as above
+        assert abs(found - clean) > 1e-3  # and the drift is seen
 
     @pytest.mark.slow
     def test_declared_features_are_those_of_a_scan_too(self, tmp_path):
