@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self
 from slbench.core.registry import Registry
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Fraction, Interval, Measure, NotNegative, Share
+from slbench.scene.interiors import Interior
 from slbench.scene.textures import (
     COLOURED,
     LEAST_ROUGHNESS,
@@ -56,6 +57,11 @@ class Bsdf(Parameters):
         }
 
     @property
+    def interior(self) -> Interior | None:
+        """What is inside the surface, where light gets in."""
+        return None
+
+    @property
     def mappings(self) -> set[str]:
         """By what texture coordinates it is laid on a surface: ``box``, ``uv``, or none."""
         return {one.mapping for one in self.textures.values() if one.laid}
@@ -90,6 +96,8 @@ bsdfs: Registry[type[Bsdf]] = Registry(
         "rough_plastic": "slbench.scene.bsdfs:RoughPlastic",
         "rough_conductor": "slbench.scene.bsdfs:RoughConductor",
         "principled": "slbench.scene.bsdfs:Principled",
+        "translucent": "slbench.scene.translucent:Translucent",
+        "dielectric": "slbench.scene.translucent:Dielectric",
     },
     base="slbench.scene.bsdfs:Bsdf",
 )

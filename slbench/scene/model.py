@@ -74,8 +74,17 @@ class SceneObject(Value):
             if part not in self.artefact.parts:
                 known = ", ".join(self.artefact.parts)
                 raise InputError(f"{self.artefact.name}: materials", f"parts {known}", part)
-        for part in self.artefact.parts:
-            self.material_of(part)
+        inside = [
+            (part, interior)
+            for part in self.artefact.parts
+            if (interior := self.material_of(part).bsdf.interior) is not None
+        ]
+        if inside and not self.artefact.mesh.is_watertight:
+            expected = "a closed mesh for a material that light gets into"
+            raise InputError(f"{self.artefact.name}: part {inside[0][0]}", expected, "an open one")
+        if len({interior for _, interior in inside}) > 1:
+            parts = " and ".join(part for part, _ in inside)
+            raise InputError(f"{self.artefact.name}: parts {parts}", "one material inside", "more")
 
     def material_of(self, part: str) -> Material:
         """Return the material of a part, with the colours of the mesh where it asks for them.

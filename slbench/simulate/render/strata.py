@@ -62,6 +62,14 @@ class Strata:
         """Return a point in [0, 1)^2 for each lane."""
         return mi.Point2f(self.next_1d(), self.next_1d())
 
+    def stream(self) -> Any:
+        """Return a generator of plain random numbers for each lane, for loops of any length."""
+        self.dimension += 1
+        step = mi.UInt32((self.dimension * _ODD) & 0xFFFFFFFF)
+        lane = 2 * self.pair + dr.select(self.mirrored, mi.UInt32(1), mi.UInt32(0))
+        a, b = mi.sample_tea_32(self.own + step, self.other ^ lane)
+        return mi.PCG32(dr.width(lane), mi.UInt64(a), mi.UInt64(b))
+
 
 #: Odd numbers that set the hashed counters of dimensions and pairs apart (the golden ratio's).
 _ODD, _OTHER_ODD = 0x9E3779B9, 0x85EBCA77

@@ -33,9 +33,10 @@ from slbench.rig.optics.spread import Spread
 from slbench.scene.model import Light, SceneObject
 from slbench.simulate.footprints import Levels
 from slbench.simulate.render.bands import Bands
+from slbench.simulate.render.interiors import Interiors, Lamp, Walk
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.camera import seen_circle, spread_ray
-from slbench.simulate.render.plugins.optics import PanelOptics, opaque, opaque_transform
+from slbench.simulate.render.plugins.optics import PanelOptics, opaque_transform
 from slbench.simulate.render.strata import Strata
 from slbench.simulate.render.translate import geometry, pose_matrix, surroundings_dict
 from slbench.simulate.rows import LineRows, PointRows, SampleBlock
@@ -214,22 +215,21 @@ class _Tracer:
         if light.environment is not None:
             self.around = mi.load_dict(surroundings_dict(light))
         self.camera = PanelOptics(rig.camera)
-        self.projector = PanelOptics(rig.projector)
         self.camera_to_world = opaque_transform(pose_matrix(rig.camera.pose))
-        self.projector_to_world = opaque_transform(pose_matrix(rig.projector.pose))
-        self.world_to_projector = opaque_transform(np.linalg.inv(pose_matrix(rig.projector.pose)))
-        self.intensity = opaque(rig.projector.axial_intensity)
+        self.lamp = Lamp(rig.projector)
         self.width, self.height = rig.camera.width, rig.camera.height
         self.geometry = geometry(objects)
         self.bands: Bands | None = None
         self.shares: list[Any] = []  # of each band in the weights launched last
+        self.interiors: Any = Interiors.of(objects, self.geometry)
         self.pairs = 1 << (max(1, -(-samples // 4)) - 1).bit_length()
         self.samples = 4 * self.pairs
 
     def passes(self) -> list[tuple[int, int]]:
         """Return the pixel ranges of the passes."""
         pixels = self.width * self.height
-        step = max(1, _LANES_PER_PASS // (self.samples * (1 + self.bounces)))
+        hits = 2 if self.interiors is not None and self.interiors.bodies is not None else 1
+        step = max(1, _LANES_PER_PASS // (self.samples * hits * (1 + self.bounces)))
         return [(first, min(first + step, pixels)) for first in range(0, pixels, step)]
 
     def launch(self, first: int, last: int) -> tuple[list[list[Any]], Any]:
@@ -302,7 +302,10 @@ class _Tracer:
         if self.around is not None:
             outside = self._outside(ray.d)
         hits: list[_Hit] = []
+        inside, walk = self.interiors, None
         for bounce in range(self.bounces + 1):
+            if inside is not None:
+                ray, throughput, outside = self._through(ray, throughput, outside, sampler, active)
             si = self.geometry.ray_intersect(ray, active)
             if escaped is not None:
                 gone = active & ~si.is_valid()
@@ -313,6 +316,9 @@ class _Tracer:
             hits.append(self._direct(si, scattering, context, throughput, sampler, active))
             if self.bands is not None:
                 self.shares = scattering.shares
+            if inside is not None and inside.bodies is not None:
+                walk = inside.walk(si, ray, self.lamp, sampler, active)
+                hits.append(self._led(walk, throughput))
             last_bounce = bounce == self.bounces
             if last_bounce and escaped is None:
                 break
@@ -320,16 +326,39 @@ class _Tracer:
                 light = self._from_around(si, bsdf, context, sampler, active)
                 escaped += throughput * self.samples * light
             sample, factor = bsdf.sample(context, si, sampler.next_1d(), sampler.next_2d(), active)
-            throughput *= factor.x
+            factor, onward = factor.x, si.spawn_ray(si.to_world(sample.wo))
+            if walk is not None:
+                out = walk.entered & (sampler.next_1d() >= walk.reflected)
+                factor = dr.select(walk.entered, factor / walk.reflected, factor)
+                factor = dr.select(out, walk.kept, factor)
+                onward.o = dr.select(out, walk.ray.o, onward.o)
+                onward.d = dr.select(out, walk.ray.d, onward.d)
+            throughput *= factor
             active &= throughput > 0
-            ray = mi.RayDifferential3f(si.spawn_ray(si.to_world(sample.wo)))
+            ray = mi.RayDifferential3f(onward)
             if self.around is not None:
                 delta = mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta)
+                if walk is not None:
+                    delta |= out  # no map is looked at from inside
                 outside = self._outside(ray.d, mi.Float(sample.pdf), delta)
             if last_bounce and escaped is not None:
+                if inside is not None:
+                    through = self._through(ray, throughput, outside, sampler, active)
+                    ray, throughput, outside = through
                 gone = active & ~self.geometry.ray_test(ray, active)
                 escaped += dr.select(gone, throughput * self.samples * outside, 0.0)
         return hits, escaped
+
+    def _through(
+        self, ray: Any, throughput: Any, outside: Any, sampler: Any, active: Any
+    ) -> tuple[Any, Any, Any]:
+        """Follow rays through glass, and look at the map where they go then."""
+        if not self.interiors.has_clear:
+            return ray, throughput, outside
+        ray, throughput, met = self.interiors.through_glass(ray, throughput, sampler, active)
+        if self.around is not None:
+            outside = dr.select(met, self._outside(ray.d), outside)
+        return ray, throughput, outside
 
     def _outside(self, direction: Any, pdf: Any = None, delta: Any = False) -> Any:
         """Return the map's radiance along rays; weighted where the surface chose them.
@@ -361,18 +390,37 @@ class _Tracer:
         self, si: Any, bsdf: Any, context: Any, throughput: Any, sampler: Any, active: Any
     ) -> _Hit:
         """Next-event estimation: the weight of the projector's light, and its footprint."""
+        lamp = self.lamp
         lens = mi.Point2f(0.5)
-        if self.projector.aperture is not None:
+        if lamp.optics.aperture is not None:
             lens = sampler.next_2d()
-        place = self.projector.disk(lens)
-        point = self.world_to_projector @ si.p
-        origin, fall_off, valid = self.projector.source(point, place)
-        source = self.projector_to_world @ origin
+        place = lamp.optics.disk(lens)
+        source, fall_off, valid = lamp.source(si.p, place)
         value = bsdf.eval(context, si, si.to_local(dr.normalize(source - si.p)), active & valid)
-        weight = value.x * throughput * fall_off * self.intensity
-        chief, along_x, along_y = self.projector.footprint(point)
-        active = active & valid & (weight > 0) & self.projector.reached(chief)
-        hidden = self.geometry.ray_test(si.spawn_ray_to(source), active)
+        weight = value.x * throughput * fall_off * lamp.intensity
+        return self._hit(si.p, place, si.spawn_ray_to(source), weight, active & valid)
+
+    def _led(self, walk: Walk, throughput: Any) -> _Hit:
+        """Return the projector's light that came to walks."""
+        source, _, valid = self.lamp.source(walk.point, walk.place)
+        onward = mi.Vector3f(source - walk.start)
+        distance = dr.norm(onward)
+        ray = mi.Ray3f(walk.start, onward / distance)
+        ray.maxt = distance
+        weight = walk.weight * throughput * self.lamp.intensity
+        return self._hit(walk.point, walk.place, ray, weight, walk.entered & valid)
+
+    def _hit(self, point: Any, place: Any, ray: Any, weight: Any, active: Any) -> _Hit:
+        """Return the footprint of the light of a point, or of nothing if something hides it."""
+        lamp = self.lamp
+        chief, along_x, along_y = lamp.optics.footprint(lamp.to_local @ point)
+        active &= (weight > 0) & lamp.optics.reached(chief)
+        if self.interiors is None:
+            hidden = self.geometry.ray_test(ray, active)
+        else:
+            share = self.interiors.passed(ray, active)
+            hidden = share <= 0
+            weight = dr.select(hidden, weight, weight * share)
         weight = dr.select(active, dr.select(hidden, -weight, weight), 0.0)
         zone = place * math.sqrt(1.0 - 1.0 / self.pairs)
         shift = along_x * zone.x + along_y * zone.y

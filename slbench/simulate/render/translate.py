@@ -32,8 +32,12 @@ from slbench.simulate.render.plugins.register import register
 
 
 def bsdf_dict(material: Material) -> dict[str, Any]:
-    """Return a material as a Mitsuba BSDF; both sides of every face scatter."""
-    return {"type": "twosided", "bsdf": _taken_in(material.bsdf.scattering())}
+    """Return a material as a Mitsuba BSDF; both sides of every face scatter, unless it is clear."""
+    found = _taken_in(material.bsdf.scattering())
+    interior = material.bsdf.interior
+    if interior is not None and interior.clear:
+        return dict(found)
+    return {"type": "twosided", "bsdf": found}
 
 
 def _taken_in(item: Any) -> Any:
@@ -81,10 +85,24 @@ class Shape:
         """Return the corners (k, 3, 3) of the triangles of the given indices (k,)."""
         return self.vertices[self.faces[faces]]
 
-    def mesh(self) -> Any:
-        """Return the shape as a Mitsuba mesh, in single precision."""
+    def looks(self) -> dict[str, dict[str, Any]]:
+        """Return BSDF and medium for Mitsuba's own integrators; a medium's boundary is none."""
+        interior = self.material.bsdf.interior
+        if interior is None or interior.clear:
+            return {"bsdf": bsdf_dict(self.material)}
+        return {"bsdf": {"type": "null"}, "interior": interior.mitsuba()}
+
+    def mesh(self, media: bool = False) -> Any:
+        """Return the shape as a Mitsuba mesh, in single precision.
+
+        Parameters
+        ----------
+        media : bool
+            As :meth:`looks`, instead of what the surface alone reflects.
+        """
         props = mi.Properties()
-        props["bsdf"] = mi.load_dict(bsdf_dict(self.material))
+        for name, item in (self.looks() if media else {"bsdf": bsdf_dict(self.material)}).items():
+            props[name] = mi.load_dict(item)
         # Without vertex normals as a rule: artefacts have sharp edges, and facets are the truth.
         used, faces, (uv, albedo, normals) = self._split()
         textured, smooth = uv is not None, normals is not None
@@ -318,8 +336,16 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
     Returns
     -------
     dict
-        With integrator ``path`` of the scene's number of bounces.
+        With integrator ``path`` of the scene's number of bounces; where objects are translucent,
+        ``volpath`` without end.
+
+    Raises
+    ------
+    InputError
+        For a translucent material that refracts.
     """
+    parts = shapes(scene.objects)
+    integrator = _integrator(scene, parts)
     register()
     _check_one_band(scene)
     picture = {
@@ -333,14 +359,28 @@ def mitsuba_dict(scene: Scene, pattern: ArrayLike, samples: int | None = None) -
     }
     result: dict[str, Any] = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": 2 + scene.light.bounces, "rr_depth": 1000},
+        "integrator": integrator,
         "camera": camera_dict(scene.rig.camera, samples or scene.samples, geometry(scene.objects)),
         "projector": projector_dict(scene.rig.projector, picture),
     }
-    result |= {shape.name: shape.mesh() for shape in shapes(scene.objects)}
+    result |= {shape.name: shape.mesh(media=True) for shape in parts}
     if scene.light.has_surroundings:
         result["ambient"] = surroundings_dict(scene.light)
     return result
+
+
+def _integrator(scene: Scene, parts: Iterable[Shape]) -> dict[str, Any]:
+    """Return Mitsuba's integrator for a scene."""
+    insides = [i for shape in parts if (i := shape.material.bsdf.interior) is not None]
+    scattering = [inside for inside in insides if not inside.clear]
+    if any(inside.eta != 1.0 for inside in scattering):
+        expected = (
+            "eta = 1 for translucent materials: Mitsuba's projector cannot be reached through"
+        )
+        raise InputError(f"scene {scene.name}", expected + " a boundary that refracts", "others")
+    if scattering:
+        return {"type": "volpath", "max_depth": -1, "rr_depth": 1000}
+    return {"type": "path", "max_depth": 2 + scene.light.bounces, "rr_depth": 1000}
 
 
 #: From the axes of Mitsuba's maps (left, up, ahead) to ours (ahead, left, up).
@@ -401,7 +441,8 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
     Raises
     ------
     InputError
-        If a device needs a plugin that stock Mitsuba does not have, naming the reason.
+        If a device needs a plugin that stock Mitsuba does not have, naming the reason; for a
+        translucent material that refracts.
     """
     register()
     _check_one_band(scene)
@@ -413,6 +454,8 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
                 "a device that Mitsuba's stock plugins can express",
                 " and ".join(reasons),
             )
+    parts = shapes(scene.objects)
+    integrator = _integrator(scene, parts)
     target, panel = Path(path), _picture(scene.rig.projector, pattern)
     panel_name = f"{target.stem}-panel.exr"
     names = [target.name, panel_name]
@@ -425,7 +468,7 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
     }
     content: dict[str, Any] = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": 2 + scene.light.bounces, "rr_depth": 1000},
+        "integrator": integrator,
         "camera": camera_dict(scene.rig.camera, scene.samples),
         "projector": projector_dict(scene.rig.projector, picture),
     }
@@ -435,7 +478,7 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
             around = surroundings_dict(scene.light)
             content["ambient"] = _written(around, temporary, f"{target.stem}-around", names)
         write_exr(temporary / panel_name, {"Y": panel})
-        for shape in shapes(scene.objects):
+        for shape in parts:
             mesh_name = f"{target.stem}-{shape.name}.ply"
             with native_writing(temporary / mesh_name):
                 shape.mesh().write_ply(str(temporary / mesh_name))
@@ -444,7 +487,7 @@ def export_xml(scene: Scene, path: str | Path, pattern: ArrayLike) -> list[Path]
                 "type": "ply",
                 "filename": mesh_name,
                 "face_normals": shape.normals is None,
-                "bsdf": _written(bsdf_dict(shape.material), temporary, mesh_name[:-4], names),
+                **_written(shape.looks(), temporary, mesh_name[:-4], names),
             }
         state = mi.parser.parse_dict(mi.parser.ParserConfig(mi.variant()), content)
         mi.parser.write_file(state, str(temporary / target.name), add_section_headers=True)

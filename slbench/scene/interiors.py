@@ -1,0 +1,59 @@
+"""The medium inside a closed surface.
+
+Its parameters are those of radiative transfer in a homogeneous medium (A. Ishimaru, "Wave
+propagation and scattering in random media", 1978): light is scattered after a free path that is
+exponentially distributed, into directions by Henyey and Greenstein's phase function (Astrophys. J.
+93, 70, 1941).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Interior:
+    """The medium inside a closed surface.
+
+    Parameters
+    ----------
+    eta : float
+        Refractive index; 1: matched to the air, so that the boundary is no optical one.
+    scattering_per_mm : float
+        Scattering coefficient; 0: clear.
+    absorption_per_mm : float
+        Absorption coefficient.
+    g : float
+        Mean cosine of the scattering angle.
+    """
+
+    eta: float
+    scattering_per_mm: float = 0.0
+    absorption_per_mm: float = 0.0
+    g: float = 0.0
+
+    @property
+    def clear(self) -> bool:
+        """Whether light goes straight through."""
+        return self.scattering_per_mm == 0.0
+
+    @property
+    def extinction_per_mm(self) -> float:
+        """Inverse of the mean free path."""
+        return self.scattering_per_mm + self.absorption_per_mm
+
+    @property
+    def albedo(self) -> float:
+        """Share of the light that a scattering event keeps."""
+        return self.scattering_per_mm / self.extinction_per_mm
+
+    def mitsuba(self) -> dict[str, Any]:
+        """Return Mitsuba's ``homogeneous`` medium of it."""
+        phase = {"type": "hg", "g": self.g} if self.g else {"type": "isotropic"}
+        return {
+            "type": "homogeneous",
+            "sigma_t": self.extinction_per_mm,
+            "albedo": self.albedo,
+            "phase": phase,
+        }
