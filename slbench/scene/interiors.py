@@ -8,6 +8,7 @@ exponentially distributed, into directions by Henyey and Greenstein's phase func
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +48,22 @@ class Interior:
     def albedo(self) -> float:
         """Share of the light that a scattering event keeps."""
         return self.scattering_per_mm / self.extinction_per_mm
+
+    @property
+    def diffuse_reflectance(self) -> float:
+        """What a half space of it returns of the light that gets in, by the diffusion dipole.
+
+        H. W. Jensen, S. R. Marschner, M. Levoy, P. Hanrahan, SIGGRAPH 2001, section 2.4; with
+        scattering made isotropic (``g = 0``), and to some per cent where it is white.
+        """
+        reduced = self.scattering_per_mm * (1.0 - self.g)
+        albedo = reduced / (reduced + self.absorption_per_mm)
+        inner = 0.0
+        if self.eta > 1.0:
+            inner = -1.440 / self.eta**2 + 0.710 / self.eta + 0.668 + 0.0636 * self.eta
+        root = math.sqrt(3.0 * (1.0 - albedo))
+        far = math.exp(-4.0 / 3.0 * (1.0 + inner) / (1.0 - inner) * root)
+        return albedo / 2.0 * (1.0 + far) * math.exp(-root)
 
     def mitsuba(self) -> dict[str, Any]:
         """Return Mitsuba's ``homogeneous`` medium of it."""

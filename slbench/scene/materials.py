@@ -38,6 +38,7 @@ from slbench.scene.textures import (
     Tint,
     read_texture,
 )
+from slbench.scene.translucent import Dielectric, Translucent
 
 
 @dataclass(frozen=True)
@@ -167,6 +168,12 @@ def own_materials(artefact: Artefact) -> dict[str, Material]:
 _TRANSITION_METALS = "n, k at 549 nm: Johnson and Christy, Phys. Rev. B 9, 5056 (1974), "
 _NOBLE_METALS = "n, k at 549 nm: Johnson and Christy, Phys. Rev. B 6, 4370 (1972), "
 
+_JENSEN = (
+    "green of the table of Jensen et al., SIGGRAPH 2001, of reduced scattering; "
+    "roughness: not confirmed"
+)
+_OURS = "typical values of ours, not confirmed; n: "
+
 #: Materials that a scene can name without defining them.
 PRESETS: dict[str, Material] = {
     "matt-white-spray": Material(
@@ -195,5 +202,34 @@ PRESETS: dict[str, Material] = {
         RoughConductor(albedo=1.0, roughness=0.25, eta=0.43, k=2.455),
         _NOBLE_METALS + "gold; roughness: typical of a struck coin",
     ),
+    "brushed-aluminium": Material(
+        Principled(albedo=0.92, metallic=1.0, roughness=0.5, anisotropy=0.8),
+        "reflectance of aluminium at 549 nm, 0.92; roughness, anisotropy: typical",
+    ),
+    "marble": Material(
+        Translucent(scattering_per_mm=2.62, absorption_per_mm=0.0041, eta=1.5, roughness=0.2),
+        _JENSEN,
+    ),
+    "skin": Material(
+        Translucent(scattering_per_mm=1.59, absorption_per_mm=0.070, eta=1.3, roughness=0.4),
+        _JENSEN + "; its skin2",
+    ),
+    "skim-milk": Material(
+        Translucent(scattering_per_mm=1.22, absorption_per_mm=0.0025, eta=1.3, roughness=0.05),
+        _JENSEN,
+    ),
+    "wax": Material(
+        Translucent(scattering_per_mm=1.5, absorption_per_mm=0.002, eta=1.44, roughness=0.3),
+        _OURS + "paraffin",
+    ),
+    "pa12": Material(
+        Translucent(scattering_per_mm=6.0, absorption_per_mm=0.01, eta=1.52, roughness=0.6),
+        _OURS + "polyamide; a sintered part as it is built",
+    ),
+    "pom": Material(
+        Translucent(scattering_per_mm=3.0, absorption_per_mm=0.003, eta=1.48, roughness=0.3),
+        _OURS + "polyoxymethylene, natural white",
+    ),
+    "glass": Material(Dielectric(eta=1.519), "n at 546 nm of Schott's N-BK7"),
     "dark-stage": Material(Diffuse(albedo=0.3), "Lambertian grey of ours"),
 }

@@ -135,7 +135,7 @@ class Interiors:
             if parts[k].object_id in owners
         }
         # Alone, so that a body that stands on a table has its own bottom.
-        self.bodies = None
+        self.bodies: Any = None
         if bodies:
             content = {"type": "scene", **bodies}
             self.bodies = mi.load_dict(content, parallel=False, optimize=False)

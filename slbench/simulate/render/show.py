@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,8 @@ def shade(
     ----------
     artefact : Artefact
     material : Material, optional
-        Of the parts that `materials` does not name; by default as the mesh file has it, or grey.
+        Of the parts that `materials` does not name; translucent ones are drawn opaque, in the
+        same grey.  By default as the mesh file has it, or grey.
     materials : mapping of str to Material, optional
     size_px : int
         Width and height of the picture.
@@ -86,6 +88,9 @@ def shade(
         "sun": {"type": "directional", "direction": (-sun).tolist(), "irradiance": 2.0},
     }
     for shape in shapes([item]):
+        inside = shape.material.bsdf.interior
+        if inside is not None and not inside.clear:  # which this integrator does not see
+            shape = replace(shape, material=Material(Diffuse(albedo=inside.diffuse_reflectance)))
         content[shape.name] = shape.mesh()
     rendered = np.asarray(mi.render(mi.load_dict(content), spp=samples, seed=0))
     light, alpha = rendered[..., 0].astype(np.float64), rendered[..., 1].astype(np.float64)
