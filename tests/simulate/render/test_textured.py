@@ -19,14 +19,16 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from slbench import objects
-from slbench.core.colour import LUMINANCE, decode_srgb
+from slbench.core.colour import BANDS, LUMINANCE, decode_srgb
 from slbench.rig import Lens, Pose, Rig
 from slbench.scene.bsdfs import Diffuse
+from slbench.scene.colour import Colour
 from slbench.scene.drawn import Checker, Stripes
 from slbench.scene.materials import Material, own_materials
 from slbench.scene.model import SceneObject
 from slbench.simulate.render.mitsuba import mi
 from slbench.simulate.render.translate import export_xml, mitsuba_dict
+from slbench.simulate.stack import traced
 
 ALPHA = 1e-4
 REPEATS = 16
@@ -115,29 +117,36 @@ def diffuse(reflectance):
     return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
 
 
-def theirs(folder, srgb_vertices=False):
-    """Return the three plates as files that Mitsuba reads by itself."""
+def theirs(folder, srgb_vertices=False, weights=LUMINANCE):
+    """Return the three plates as files that Mitsuba reads by itself.
+
+    Of colours the sum with `weights` counts.
+    """
     left, middle, right = parts().values()
     lines = [f"v {x} {y} {z}" for x, y, z in left.vertices]
     lines += [f"vt {u} {v}" for u, v in left.visual.uv]
     lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in left.faces + 1]
     (folder / "left.obj").write_text("\n".join(lines))
     # Mitsuba takes the luminance of a picture in colour; the factor is put into the picture here.
+    # Other sums are put there as a grey picture.
     pixels = np.asarray(left.visual.material.baseColorTexture)
     factor = left.visual.material.baseColorFactor[:3] / 255.0
-    linear = mi.Bitmap((decode_srgb(pixels / 255.0) * factor).astype(np.float32))
+    linear = (decode_srgb(pixels / 255.0) * factor).astype(np.float32)
+    if weights is not LUMINANCE:
+        linear = (linear @ np.float32(weights))[..., np.newaxis]
     right.export(folder / "right.ply", vertex_normal=False)
     colours = middle.visual.vertex_colors[:, :3] / 255.0
     values = decode_srgb(colours) if srgb_vertices else colours
     attribute = {"type": "mesh_attribute", "name": "vertex_c"}
     mesh = mi.Mesh("middle", 36, 12, props=_props(diffuse(attribute)))
-    mesh.add_attribute("vertex_c", 1, (values @ LUMINANCE).astype(np.float32))
+    mesh.add_attribute("vertex_c", 1, (values @ np.array(weights)).astype(np.float32))
     params = mi.traverse(mesh)
     params["vertex_positions"] = mi.Float((middle.vertices @ TILT.T).astype(np.float32).ravel())
     params["faces"] = mi.UInt32(middle.faces.astype(np.uint32).ravel())
     params.update()
-    texture = {"type": "bitmap", "bitmap": linear, "raw": False, "filter_type": "bilinear"}
-    paint = float(right.visual.material.baseColorFactor[:3] / 255.0 @ LUMINANCE)
+    bitmap = mi.Bitmap(linear)
+    texture = {"type": "bitmap", "bitmap": bitmap, "raw": False, "filter_type": "bilinear"}
+    paint = float(right.visual.material.baseColorFactor[:3] / 255.0 @ np.array(weights))
     more = {"face_normals": True, "to_world": to_world()}
     return {
         "left": {
@@ -175,6 +184,24 @@ def test_a_glb_of_three_parts_is_rendered_as_mitsuba_does(glb, tmp_path):
     assert agreement(other, grey).p < 1e-9
     flipped = replace(artefact, mesh=replace(artefact.mesh, uv=artefact.mesh.uv * [1.0, -1.0]))
     assert agreement(other, relit(seen(flipped, own_materials(flipped)))).p < 1e-9
+
+
+@pytest.mark.parametrize("k", range(3), ids=BANDS)
+def test_bands_of_a_glb_in_colour_are_rendered_as_mitsuba_does(k, glb, tmp_path):
+    artefact = objects.build_artefact("mesh", {"path": str(glb), "unit": "mm"})
+    value = replace(seen(artefact, own_materials(artefact)), colour=Colour(), samples=SAMPLES)
+    panels = np.ones((3, 1, 160))
+    ours = np.array(
+        [traced(value, ("u",), seed=s)[0].seen(panels, "u", (k,))[0, 0] for s in range(REPEATS)],
+        np.float64,
+    )
+    plain = value.in_band(BANDS[k])
+    other = rendered(plain, theirs(tmp_path, weights=np.eye(3)[k]))
+    assert agreement(other, ours).p > ALPHA
+    # It sees small errors of the level, and another channel.
+    assert agreement(other, 1.02 * ours).p < 1e-9
+    wrong = rendered(plain, theirs(tmp_path, weights=np.eye(3)[k - 1]))
+    assert agreement(wrong, ours).p < 1e-9
 
 
 def test_vertex_colours_of_a_ply_are_rendered_as_mitsuba_does(tmp_path):
