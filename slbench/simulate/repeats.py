@@ -172,7 +172,9 @@ def _frames(
     scene: Scene, transport: LightTransport, pixels: NDArray[np.intp], repeats: int, seed: int
 ) -> Iterator[NDArray[Any]]:
     """Yield the frames of each repeat at the pixels, (N, P)."""
-    if scene.exposure.vibration_px > 0.0 or scene.exposure.has_frame_errors:  # of whole images
+    # What moves whole images, or fills a mosaic from neighbours.
+    light = scene.exposure
+    if light.vibration_px > 0.0 or light.has_frame_errors or scene.colour is not None:
         for r in range(repeats):
             (shots,) = capture_stack(scene, (transport,), seed=tagged_seed(seed, r)).captures
             yield shots.frames.reshape(len(shots.frames), -1)[:, pixels]
