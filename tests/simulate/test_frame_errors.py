@@ -252,18 +252,29 @@ def test_rates_are_drawn_and_left_out_without_noise():
     assert not any(quiet.is_other(k) for k in range(50))
 
 
-@pytest.mark.parametrize(("effect", "warned"), [("repeat", True), ("mix", False)])
-def test_decoding_questions_a_repeated_picture(effect, warned):
-    """One of four shifts shown twice is told; a mixed one looks like a brighter or darker frame."""
-    shown = sequence(Fringes(1, 4, "u"), Fringes(2, 4, "u"))
-    exposure = Exposure(trigger=Trigger(lost=(5,), effect=effect))
+def warned(exposure, shown, seed=0):
+    """Return what decoding says of noisy frames; the rig is not that of light pixel to pixel."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", InputWarning)
-        wrong, right = shots(exposure, shown, noise=True), shots(shown=shown, noise=True)
-        # The rig is not that of light which goes from pixel to pixel.
-        said = decode_capture(replace(wrong, rig=None)).warnings
-        assert decode_capture(replace(right, rig=None)).warnings == ()
-    assert any("5" in one for one in said) == warned, said
+        found = shots(exposure, shown, noise=True, seed=seed)
+        return decode_capture(replace(found, rig=None)).warnings
+
+
+@pytest.mark.parametrize("effect", ["repeat", "late", "skip", "mix"])
+def test_decoding_questions_lost_triggers(effect):
+    """Any of twelve pictures (docs/explanation/evidence.md), but where nothing changes."""
+    shown = sequence(*(Fringes(count, 4, "u") for count in (1, 4, 12)))
+    assert warned(None, shown) == ()
+    for k in range(12):
+        said = warned(Exposure(trigger=Trigger(lost=(k,), effect=effect)), shown, seed=k)
+        same = {"repeat": k == 0, "late": False, "skip": k == 11, "mix": k == 11}[effect]
+        assert bool(said) != same, (k, said)
+
+
+def test_a_repeated_picture_is_named():
+    shown = sequence(Fringes(1, 4, "u"), Fringes(2, 4, "u"))
+    said = warned(Exposure(trigger=Trigger(lost=(5,))), shown)
+    assert any("5" in one for one in said), said
 
 
 # -- together -----------------------------------------------------------------------------------
