@@ -50,26 +50,34 @@ def decoded(scene: Scene) -> Array:
 
 def completed(scene: Scene) -> Array:
     """Return depth everywhere, of the nearest pixel that has one."""
-    depth = scene.decoded_depth
-    missing = np.isnan(depth)
+    return filled(scene.decoded_depth)
+
+
+def filled(values: Array) -> Array:
+    """Return a map (V, U) whose NaN are what the nearest pixel has that is none."""
+    missing = np.isnan(values)
     if missing.all():
-        return depth
+        return values
     nearest = scipy.ndimage.distance_transform_edt(
         missing, return_distances=False, return_indices=True
     )
-    return np.asarray(depth[tuple(nearest)])
+    return np.asarray(values[tuple(nearest)])
 
 
 def depth_of_one(scene: Scene) -> Array:
     """Return the depth of one picture by Fourier-transform profilometry, mm."""
+    return depth_of(scene.rig, turns_of_one(scene) * (scene.panel_width / FRINGES) - 0.5)
+
+
+def turns_of_one(scene: Scene) -> Array:
+    """Return the absolute phase of one picture by Fourier-transform profilometry, turns."""
     expected = reference_turns(scene.rig, scene.shape, scene.panel_width)
     analytic = side_band(scene.frames[SHIFTS].astype(np.float64), expected)
     mask = np.abs(analytic) >= MIN_MODULATION_DN
     if not mask.any():
         return np.full(scene.shape, np.nan)
     turns = unwrap_spatially(np.angle(analytic), mask) / TURN
-    whole = np.rint(np.nanmedian(expected - turns))
-    return depth_of(scene.rig, (turns + whole) * (scene.panel_width / FRINGES) - 0.5)
+    return np.asarray(turns + np.rint(np.nanmedian(expected - turns)))
 
 
 def side_band(frame: Array, expected: Array) -> Array:
