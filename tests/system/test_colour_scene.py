@@ -393,3 +393,30 @@ def test_a_matrix_of_ones_own_is_what_an_operator_believes():
     np.testing.assert_array_equal(wrong.capture.frames, right.capture.frames)
     # A twentieth of the light in another channel, beside sampling and square pixels alone.
     assert wrong.floor_rms_px > 3.0 * right.floor_rms_px
+
+
+def test_a_scene_in_colour_is_drawn_in_colour(tmp_path):
+    for name, coloured_there in (("colour", True), ("plane", False)):
+        done = run_cli("scene", "show", name, "--out", tmp_path / f"{name}.png")
+        assert done.status == 0, done.err
+        # The camera's view is the right third of the picture; drawings are left of it.
+        drawn = read_colour(tmp_path / f"{name}.png")
+        view = drawn[:, 2 * drawn.shape[1] // 3 :].astype(int)
+        saturated = np.ptp(view, axis=2) > 60  # the balls' colours, of which a grey view has none
+        assert (saturated.mean() > 0.005) == coloured_there
+
+
+def test_deviations_under_a_mosaic_are_predicted_on_the_whole():
+    for patterns in ("1,16@3", "1,16@3+rgb"):
+        scene = coloured("1,16@3", albedo=None, bayer="RGGB")
+        found = compare(scene, [patterns], repeats=8, truth=truth_of("plane"))
+        assert found[patterns].std_over_predicted == pytest.approx(1.0, abs=0.05)
+
+
+def test_deviations_of_stripes_in_colour_are_predicted():
+    name = "white+black+de-bruijn8px+rgb"
+    for albedo in (None, PAINT):
+        scene = coloured("1,16@3", albedo=albedo, response=RESPONSE)
+        found = compare(scene, [name], repeats=8, truth=truth_of("plane"))
+        # What channels share once they are taken apart, an edge counts as if each had it alone.
+        assert found[name].std_over_predicted == pytest.approx(1.05, abs=0.1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -24,12 +25,15 @@ def show(
     allow_modules: AllowModules = False,
 ) -> None:
     """Draw a scene: the rig to scale, and the camera's view."""
+    import numpy as np
+
     from slbench.core.io import check_output_file
     from slbench.report.plots.draw import scene_picture
-    from slbench.simulate.render.trace import trace
+    from slbench.simulate.stack import traced
 
     check_output_file(out, (".png",))
     loaded = load_changed(scene, changes, preview=True, allow_modules=allow_modules)
-    parts = loaded.objects, loaded.rig, loaded.light
-    scene_picture(loaded, trace(*parts, ("u",), samples=loaded.samples).white(), out)
+    (light,) = traced(replace(loaded, focus=None), ("u",))
+    channels = [white for white, _ in light.whites()]
+    scene_picture(loaded, np.stack(channels, axis=-1), out)
     print(f"Written to {out}")

@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from slbench.core.colour import encode_srgb
 from slbench.core.io import atomic_path
 from slbench.objects import Artefact
 from slbench.rig import Pose, Rig, box_corners
@@ -29,7 +30,10 @@ def draw_image(
     limits: tuple[float, float] | None = None,
     robust: float = 0.0,
 ) -> None:
-    """Draw an image with its colour bar; `robust` per cent of each tail may be cut off."""
+    """Draw an image with its colour bar; `robust` per cent of each tail may be cut off.
+
+    A picture (V, U, 3) of values for a display has no bar.
+    """
     finite = image[np.isfinite(image)]
     if limits is None and finite.size:
         low, high = np.percentile(finite, [robust, 100.0 - robust])
@@ -41,7 +45,8 @@ def draw_image(
     axes.set_facecolor("0.85")
     axes.set_xlabel("u / px")
     axes.set_ylabel("v / px")
-    axes.figure.colorbar(shown, ax=axes, shrink=0.8, label=unit)
+    if image.ndim == 2:
+        axes.figure.colorbar(shown, ax=axes, shrink=0.8, label=unit)
 
 
 def object_picture(
@@ -106,8 +111,8 @@ def scene_picture(scene: Scene, view: NDArray[np.float32], path: str | Path) -> 
     Parameters
     ----------
     scene : Scene
-    view : (V, U) float
-        Radiance under the fully lit panel.
+    view : (V, U) or (V, U, 1) or (V, U, 3) float
+        Radiance under the fully lit panel, in colour for each channel.
     path : path of the PNG
     """
     figure = Figure(figsize=(14.0, 6.0), dpi=100, layout="constrained")
@@ -115,7 +120,10 @@ def scene_picture(scene: Scene, view: NDArray[np.float32], path: str | Path) -> 
     *views, picture = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.2])
     _draw_views(figure, views, scene.rig, scene.objects, scene.place)
     bright = max(float(np.percentile(view, 99.5)), 1e-30)
-    draw_image(picture, view / bright, "camera's view, panel white", "gray", "", limits=(0.0, 1.0))
+    image = view / bright
+    if view.ndim == 3:
+        image = encode_srgb(image) if view.shape[2] > 1 else image[..., 0]
+    draw_image(picture, image, "camera's view, panel white", "gray", "", limits=(0.0, 1.0))
     figure.suptitle(f"{scene.name}: {_distances(scene.rig, scene.place)}")
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
