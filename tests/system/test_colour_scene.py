@@ -26,6 +26,7 @@ from slbench.simulate.lights import Lights
 from slbench.simulate.scan import scan
 from slbench.simulate.stack import capture_stack, traced
 from slbench.simulate.transport import LightTransport
+from slbench.twin import TwinObject, make_twin
 
 PRIMARIES = ((0.9, 0.05, 0.0), (0.1, 0.9, 0.1), (0.0, 0.05, 0.9))
 RESPONSE = ((0.85, 0.15, 0.0), (0.1, 0.8, 0.1), (0.0, 0.15, 0.85))
@@ -420,3 +421,14 @@ def test_deviations_of_stripes_in_colour_are_predicted():
         found = compare(scene, [name], repeats=8, truth=truth_of("plane"))
         # What channels share once they are taken apart, an edge counts as if each had it alone.
         assert found[name].std_over_predicted == pytest.approx(1.05, abs=0.1)
+
+
+def test_what_has_one_band_refuses_scenes_in_colour(tmp_path):
+    done = run_cli("export", "colour", tmp_path / "scene.xml")
+    assert done.status == 2
+    assert 'in_band("green")' in done.err
+    assert not list(tmp_path.iterdir())
+    scene = coloured(albedo=None)
+    (shots,) = capture_stack(scene, light(scene), seed=1).captures
+    with pytest.raises(InputError, match="grey frames"):
+        make_twin(shots, [TwinObject(shape="plane")])
