@@ -199,7 +199,7 @@ class LightTable(Parameters):
 class EnvironmentTable(Parameters):
     """``[environment]``: light that comes from around, by direction."""
 
-    map: str | None = None
+    map: Literal["overcast", "workshop", "window"] | None = None
     file: str | None = None
     irradiance_w_per_m2: Measure | None = None
     scale: Measure | None = None

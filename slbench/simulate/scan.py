@@ -34,6 +34,7 @@ from slbench.score.fusion import FusionScore, score_fusion
 from slbench.score.points import Score
 from slbench.score.points import score as score_points
 from slbench.simulate.floors import floor_of, more_samples
+from slbench.simulate.frame_errors import check_frame_errors
 from slbench.simulate.lights import Lights
 from slbench.simulate.reconstruct import calibration_doubts, reconstruct
 from slbench.simulate.sharp import expected_frames
@@ -326,6 +327,8 @@ def scan(
     only = scene.rig.only
     with located(f"scene {scene.name}: patterns {scene.sequence.name}"):
         scene.sequence.runs()
+    with located(f"scene {scene.name}"):
+        check_frame_errors(scene)
     light = lights or Lights(seed, kept=1)
     views: dict[Pair, View] = {}
     for pair in scene.rig.pairs:

@@ -297,6 +297,10 @@ def test_refusals_name_what_is_wrong(tmp_path, content, words):
             CLUTTER | {"distractors": [BLOCK | {"material": "no-such"}]},
             ["distractors[0]", "no-such"],
         ),
+        (
+            CLUTTER | {"scene": CLUTTER["scene"] | {"exposure": {"trigger": {"lost": [6]}}}},
+            ["exposure.trigger.lost", "pictures 0 to 5", "6"],
+        ),
     ],
 )
 def test_what_no_draw_can_make_is_refused_before_rendering(tmp_path, content, words):

@@ -26,6 +26,7 @@ from slbench.scene.model import Exposure
 from slbench.simulate.colour import ColourTransport
 from slbench.simulate.expose import Shutter, capture, radiance_batches
 from slbench.simulate.frame_errors import frame_errors
+from slbench.simulate.scan import scan
 from slbench.simulate.transport import LightTransport
 
 SIZE = (64, 4)
@@ -370,6 +371,14 @@ def test_tables_refuse_what_cannot_be(changes, words):
     with pytest.raises(InputError) as caught:
         load_scene("plane", changes=changes)
     assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_a_scan_refuses_them_before_it_traces():
+    scene = load_scene("plane", preview=True, changes={"exposure.trigger.lost": [9]})
+    stages = []
+    with pytest.raises(InputError, match=r"scene plane: exposure\.trigger\.lost: .*0 to 8, got 9"):
+        scan(scene, on_progress=lambda stage, done: stages.append(stage))
+    assert stages == []
 
 
 def test_pictures_that_there_are_not_are_refused():

@@ -29,6 +29,7 @@ from slbench.rig.opencv import write_rig
 from slbench.scene.devices.optics import CameraOptics
 from slbench.scene.file import load_scene, load_settings, objects_of
 from slbench.scene.model import Scene
+from slbench.simulate.frame_errors import check_frame_errors
 
 #: Width and Monte Carlo samples of a preview, where the scene does not say.
 _PREVIEW_WIDTH, _PREVIEW_SAMPLES = 320, 16
@@ -395,7 +396,7 @@ def _problem(
     try:
         scene = place_scene(drawn, files, folder, preview)
         for patterns in specification.patterns:
-            patterns.of(scene, folder)
+            check_frame_errors(patterns.of(scene, folder))
     except InputError as error:
         return error
     if specification.constraints.inside_volume and outside_volume(scene, drawn.wanted):
