@@ -11,10 +11,13 @@ from slbench import objects
 from slbench.core.errors import InputError
 from slbench.rig import Pose, Rig
 from slbench.scene.bsdfs import Diffuse
+from slbench.scene.environment import Environment, Radiance
 from slbench.scene.materials import Material
 from slbench.scene.model import Light, SceneObject
 from slbench.scene.translucent import Dielectric, Translucent
 from slbench.scene.truth import Status
+from slbench.simulate.render.mitsuba import mi
+from slbench.simulate.render.translate import export_xml
 
 DOWN = np.diag([1.0, -1.0, -1.0])
 ETA = 1.5
@@ -164,3 +167,39 @@ def test_opaque_scenes_know_nothing_of_it():
     assert _Tracer(view.objects, view.rig, view.light, 4, 0).interiors is None
     opaque = ball(Diffuse())
     assert _Tracer(opaque.objects, opaque.rig, opaque.light, 4, 0).interiors is None
+
+
+@pytest.mark.parametrize(
+    "bsdf", [Dielectric(), Translucent(scattering_per_mm=0.2)], ids=["glass", "wax"]
+)
+def test_an_even_map_is_ambient_light(bsdf):
+    """Rays out of glass and out of a walk look at the map too, and with all of their weight."""
+    uniform = ball(bsdf)
+    even = Environment(Radiance(np.ones((16, 32))))
+    mapped = replace(uniform, light=Light(environment=even))
+    found = [
+        np.array(
+            [trace(view, ("u",), samples=64, seed=s).ambient.mean(dtype=float) for s in range(4)]
+        )
+        for view in (uniform, mapped)
+    ]
+    error = 5.0 * np.hypot(*(one.std(ddof=1) / 2.0 for one in found)) + 1e-4
+    assert found[0].mean() == pytest.approx(found[1].mean(), abs=error)
+    assert error < 0.01
+
+
+def test_what_mitsuba_cannot_light_is_not_written(tmp_path):
+    rig = facing_rig(camera(), projector(vignetting=False), 500.0)
+    artefact = objects.build_artefact("plane", {"size_mm": (80.0, 60.0), "thickness_mm": 9.0})
+    pattern = np.ones((120, 160))
+    for eta in (1.0, 1.5):
+        item = SceneObject(artefact, material=Material(Translucent(eta=eta)))
+        target = tmp_path / f"{eta}.xml"
+        if eta > 1.0:
+            with pytest.raises(InputError, match="a boundary that refracts"):
+                export_xml(scene(rig, item), target, pattern)
+            assert not target.exists()
+        else:
+            export_xml(scene(rig, item), target, pattern)
+            image = mi.render(mi.load_file(str(target)), spp=4, seed=1).numpy()
+            assert np.mean(image > 0) > 0.1
