@@ -43,7 +43,8 @@ class Predictions:
         Raises
         ------
         InputError
-            If the file is damaged, of another shape, or holds what is no real number.
+            If the file is damaged, of another shape, or holds what is no real number, or no whole
+            one where these are asked for.
         """
         path = self.files[task][key]
         if path.suffix == ".exr":
@@ -60,6 +61,9 @@ class Predictions:
         values = array.astype(np.float64)
         if np.isinf(values).any():
             raise InputError(path, "finite numbers, or NaN for no prediction", "infinite ones")
+        if TASKS[task].whole and np.any(odd := np.isfinite(values) & (values != np.rint(values))):
+            # Between two of them a prediction would be half right about both.
+            raise InputError(path, "whole numbers, or NaN for no prediction", values[odd][0])
         return values
 
 

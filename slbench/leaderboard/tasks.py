@@ -29,6 +29,8 @@ class Task:
         From a scene to what is right, (V, U); NaN where nothing is asked for.
     cyclic : bool
         Whether errors are those of angles.
+    whole : bool
+        Whether predictions are whole numbers.
     """
 
     name: str
@@ -38,6 +40,7 @@ class Task:
     bad: tuple[float, ...]
     target: Callable[[Scene], Array]
     cyclic: bool = False
+    whole: bool = False
 
     def errors(self, predicted: Array, target: Array) -> Array:
         """Return the absolute errors of predictions, NaN where there is none."""
@@ -78,7 +81,7 @@ TASKS: dict[str, Task] = {
     for task in (
         Task("depth-1", "Depth from one picture", (SHIFTS,), "mm", (0.1, 1.0), _depth),
         Task("depth-6", "Depth from six pictures", _ALL, "mm", (0.1, 1.0), _depth),
-        Task("orders", "Fringe orders", _ALL, "orders", (0.5,), _orders),
+        Task("orders", "Fringe orders", _ALL, "orders", (0.5,), _orders, whole=True),
         Task("phase", "Denoised phase", _ALL[SHIFTS:], "rad", (0.1, 0.5), _phase, cyclic=True),
         Task("completion", "Completed depth", _ALL, "mm", (0.1, 1.0), _hidden_depth),
     )

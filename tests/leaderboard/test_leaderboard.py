@@ -253,6 +253,15 @@ class TestPredictions:
         found = score_entries(board, [of_folder(read_predictions(entry, board.keys))])
         assert [result.task for result in found] == ["depth-1"]
 
+    def test_orders_are_whole_numbers(self, board, tmp_path):
+        """Half of one would be right about two."""
+        entry = tmp_path / "halves"
+        (entry / "orders").mkdir(parents=True)
+        for key, shape in zip(board.keys, (scene.shape for scene in board), strict=True):
+            np.save(entry / "orders" / f"{key}.npy", np.full(shape, 3.5))
+        with pytest.raises(InputError, match=r"whole numbers, or NaN .* got 3\.5"):
+            score_entries(board, [of_folder(read_predictions(entry, board.keys))])
+
     @pytest.mark.parametrize(
         ("spoil", "words"),
         [

@@ -9,6 +9,9 @@ from slbench.core.errors import InputError
 from slbench.core.io.images import write_png
 from slbench.patterns import NoiseModel, PatternSequence, decode
 from slbench.patterns.images import Images
+from slbench.patterns.matching.bound import cramer_rao
+from slbench.patterns.matching.match import match
+from slbench.patterns.matching.vectors import CodeVectors
 
 PANEL = (96, 64)
 NOISE = NoiseModel(read_dn=1.0)
@@ -128,6 +131,31 @@ def test_binary_pictures_that_a_lens_softened_are_decoded_within_a_pixel(coded):
     plain = found(0.0)
     off = np.abs(plain.coordinate["u"][0] - u)[plain.mask[0]]
     assert not plain.mask.any() or np.median(off) > 2.0 * np.median(np.abs(error[known.mask[0]]))
+
+
+@pytest.mark.parametrize("finer", [1, 4])
+def test_places_are_found_to_the_panels_very_edges(finer):
+    """Half a pixel beyond the middle of the outer ones, between columns or not."""
+    bits = np.random.default_rng(17).integers(0, 2, (10, 640))
+    vectors = CodeVectors(gaussian_filter(1.0 * bits, 1.0, axes=1), np.zeros(10, np.int64))
+    u = np.array([-0.45, -0.2, 0.3, 320.6, 639.2, 639.4])
+    pieces, piece = vectors.pieces(), np.clip(u, 0, 638).astype(int)
+    t = (u - piece)[:, np.newaxis]
+    a, b, c, d = pieces[piece].transpose(1, 0, 2)
+    frames = 30 + 150 * (a + t * (b + t * (c + t * d))).T
+    found = match(frames, vectors, NoiseModel(read_dn=0.01), None, finer)
+    assert found.sure.all()
+    np.testing.assert_allclose(found.coordinate, u, atol=1e-3)
+
+
+def test_the_bound_of_binary_pictures_knows_their_blur():
+    """The lens has made slopes of the edges, by which places are told."""
+    bits = np.random.default_rng(18).integers(0, 2, (6, 1, 640))
+    sharp = (255 * np.repeat(bits, 12, axis=1)).astype(np.uint8)
+    light = {"modulation": 70.0, "mean": 100.0, "noise": NOISE}
+    for blur, told in ((1.0, True), (0.0, False)):
+        sequence = PatternSequence((640, 12), (Images(sharp, "u", blur_px=blur),))
+        assert (np.isfinite(cramer_rao(sequence, **light)).mean() > 0.9) is told
 
 
 def test_a_known_blur_is_kept_with_the_pictures(tmp_path):

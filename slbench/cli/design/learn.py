@@ -25,6 +25,7 @@ OPTIONS = {
 }
 #: Share of a data set's objects that are held out, and at most so many scenes of them.
 _HELD_OUT, _MOST_HELD_OUT = 0.25, 8
+_SEEN = "judged on the scene that it was learned on: give --held-out, or learn on --data"
 
 
 def run_learn(
@@ -114,13 +115,15 @@ def run_learn(
         verdict = "The learned sets beat" if values["beats"] else "The learned sets do not beat"
         print(f"{verdict} the best fixed ones: {values['ratio']:.3f} of their error ", end="")
         print(f"[{low:.3f}, {high:.3f}], over {seeds} seeds")
+        if not values["held_out"]:
+            print(_SEEN)
         print(f"Written to {folder}")
         return
     (one,) = found
-    print_table(_table(one.verdict))
+    print_table(_table(one.verdict, held_out=one.values["held_out"]))
     print(one.text)
     if not one.values["held_out"]:
-        print("judged on the scene that it was learned on: give --held-out, or learn on --data")
+        print(_SEEN)
     print(one.verdict.text())
     print(f"Written to {folder}: slbench compare SCENE --set {folder} --set {one.verdict.best}")
 
@@ -268,7 +271,7 @@ def _of_data(path: str, seed: int, allow_modules: bool) -> tuple[list[HeldOut], 
     return found["train"], test
 
 
-def _table(verdict: Verdict) -> Table:
+def _table(verdict: Verdict, *, held_out: bool) -> Table:
     """Lay out both sets on each scene, and the fixed sets below."""
     from slbench.core.show.document import Table
 
@@ -285,7 +288,8 @@ def _table(verdict: Verdict) -> Table:
     ]
     best = f"{{{verdict.best}}}"
     columns = ("scene", "learned / µm", f"{best} / µm", "ratio", "right", f"right, {best}")
-    return Table("Distance from the truth on held-out scenes", columns, tuple(rows))
+    where = "held-out scenes" if held_out else "the scene that was learned on"
+    return Table(f"Distance from the truth on {where}", columns, tuple(rows))
 
 
 def _table_of_seeds(found: Sequence[_Learned], seed: int) -> Table:
@@ -304,5 +308,7 @@ def _table_of_seeds(found: Sequence[_Learned], seed: int) -> Table:
         for k, one in enumerate(found)
     ]
     columns = ("seed", "best fixed set", "ratio of errors", "right", "right, fixed")
-    title = f"Codes of {len(found)} seeds on scenes that they have not seen"
+    unseen = found[0].values["held_out"]
+    where = "scenes that they have not seen" if unseen else "the scene that they were learned on"
+    title = f"Codes of {len(found)} seeds on {where}"
     return Table(title, columns, tuple(rows))

@@ -28,7 +28,8 @@ BLOCK = 64
 GROUP = 8
 #: Frames that are multiplied and added at once, while a sum is in a register.
 CHUNK = 4
-#: Places beside the best that are of the same peak whatever their scores: a pixel may see both.
+#: Panel pixels beside the best that are of the same peak whatever their scores: a camera pixel may
+#: see both.
 NEAR = 2
 
 
@@ -76,7 +77,7 @@ def _score(block: Any, basis: Any, x: int, scores: Any, one: Any, two: Any) -> N
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model="numpy")
 def search(
-    pixels: Any, basis: Any, first: Any, last: Any, best: Any, energy: Any, rival: Any,
+    pixels: Any, basis: Any, beside: int, first: Any, last: Any, best: Any, energy: Any, rival: Any,
     start: int, stop: int,
 ) -> None:  # fmt: skip
     """Find the best place of pixels ``start`` to ``stop``, and the best of another peak.
@@ -87,6 +88,8 @@ def search(
         The frames of the code.
     basis : (X, J, N) float32
         Of whole groups of places and chunks of frames (:func:`padded`).
+    beside : int
+        Places beside the best that are of the same peak whatever their scores.
     first, last : (P,) int32
         Places between which to search, both included.
     best : (P,) int32
@@ -147,11 +150,11 @@ def search(
             x = centre
             while x > low_place and scores[x - 1, b] <= scores[x, b]:
                 x -= 1
-            left = max(min(x, centre - NEAR), low_place)
+            left = max(min(x, centre - beside), low_place)
             x = centre
             while x < high_place and scores[x + 1, b] <= scores[x, b]:
                 x += 1
-            right = min(max(x, centre + NEAR), high_place)
+            right = min(max(x, centre + beside), high_place)
             # What is beside the peak in the groups that it ends in; the others are whole.
             second = np.float32(0.0)
             for y in range(left // GROUP * GROUP, left):
@@ -175,7 +178,7 @@ LEAST_CURVATURE = 0.2
 
 @njit(cache=True, nogil=True)
 def refine(
-    pixels: Any, pieces: Any, groups: Any, offsets: Any, reach: Any, noise: Any,
+    pixels: Any, pieces: Any, groups: Any, offsets: Any, reach: Any, half: float, noise: Any,
     best: Any, place: Any, information: Any, gain: Any, residual: Any, whole_place: Any,
     start: int, stop: int,
 ) -> None:  # fmt: skip
@@ -190,6 +193,8 @@ def refine(
         Which gain and which offset a frame has, numbered from zero.
     reach : (X,) float64
         How far from a place the refined one may lie.
+    half : float
+        Half a panel pixel, in places: as far as the panel goes beyond the outer ones.
     noise : (3,) float64
         Constant variance, gain and offset of the noise (:class:`NoiseModel`).
     best : (P,) int32
@@ -293,7 +298,7 @@ def refine(
             curvature = max(1.0 - turned / fisher, LEAST_CURVATURE)
             step = min(max(moment / fisher, -0.5), 0.5)
             moved = min(max(x + step, centre - allowed), centre + allowed)
-            moved = min(max(moved, -0.5), last + 0.5)
+            moved = min(max(moved, -half), last + half)
             step = moved - x
             x = moved
             if abs(step) < 1e-4:

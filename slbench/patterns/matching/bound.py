@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.patterns.base import Axis, FloatArray
 from slbench.patterns.crosstalk import mixed
+from slbench.patterns.matching.code import seen_of
 from slbench.patterns.matching.vectors import EDGE, CodeVectors, Nuisance, blurred
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
@@ -43,7 +44,8 @@ def sequence_vectors(
     nuisance : Nuisance, optional
         One gain and one offset by default.
     spread : Spread, optional
-        Line spread of the projector, which blurs what is shown.
+        Line spread of the projector, which blurs what is shown; without it, by what a code knows of
+        its blur.
     circle_px : float
         Diameter of its circle of confusion, px.
     response : Response, optional
@@ -61,10 +63,13 @@ def sequence_vectors(
             "matching: axis", f"an axis that frames of {sequence.name} vary along", axis
         )
     size = sequence.size(axis)
-    values = np.array([frame.part.profile(frame.index, size) for frame in frames])
-    if response is not None:
-        values = response.light(np.clip(values, 0.0, 1.0))
-    if spread is not None:
+    shown = [(frame.part, frame.part.profile(frame.index, size)) for frame in frames]
+    if spread is None:  # as the lens is known to show them
+        values = np.array([seen_of([one], part, response)[0] for part, one in shown])
+    else:
+        values = np.array([one for _, one in shown])
+        if response is not None:
+            values = response.light(np.clip(values, 0.0, 1.0))
         values = blurred(values, spread, circle_px)
     if sequence.crosstalk is not None:
         values = mixed(values, sequence.crosstalk)

@@ -62,7 +62,7 @@ class MatchedCode(Code):
         """Return the code vectors of a run along its one axis, as a projector shows them."""
         size = extent(run.panel, run.axes[0])
         profiles = [
-            _seen(
+            seen_of(
                 [placed.code.profile(k, size) for k in range(len(placed.frames))],
                 placed.code,
                 response,
@@ -137,7 +137,7 @@ class MatchedCode(Code):
 def _repeated(codes: tuple[Code, ...], panel: Panel) -> float:
     """Return the share of places that another part of the panel shows too, to half a pixel."""
     size = extent(panel, codes[0].axes[0])
-    profiles = [_seen([c.profile(k, size) for k in range(c.n_frames(panel))], c) for c in codes]
+    profiles = [seen_of([c.profile(k, size) for k in range(c.n_frames(panel))], c) for c in codes]
     vectors = vectors_of_parts(profiles, codes[0])
     first, last = vectors.cells()
     flat = vectors.basis().reshape(size, -1)
@@ -164,7 +164,7 @@ def _decode_plane(run: Run, observed: Observed) -> Decoded:
     least = np.maximum(observed.min_modulation, observed.min_snr * noise)
     shown = np.concatenate(
         [
-            _seen(
+            seen_of(
                 [p.code.image(k, run.panel) for k in range(len(p.frames))],
                 p.code,
                 observed.response,
@@ -195,7 +195,9 @@ def _decode_plane(run: Run, observed: Observed) -> Decoded:
     }
 
 
-def _seen(shown: Sequence[FloatArray], code: Code, response: Response | None = None) -> FloatArray:
+def seen_of(
+    shown: Sequence[FloatArray], code: Code, response: Response | None = None
+) -> FloatArray:
     """Return the light of pattern values (n, ...) as the lens shows it, by what is known of it."""
     from scipy.ndimage import gaussian_filter
 

@@ -80,7 +80,7 @@ def match(
     -------
     Matched1D
     """
-    from slbench.patterns.kernels.matching import padded, refine, search
+    from slbench.patterns.kernels.matching import NEAR, padded, refine, search
 
     starts, stops = vectors.cells()
     if near is not None or vectors.edged().any() or np.any(stops > starts):
@@ -99,7 +99,8 @@ def match(
     best = np.empty(count, np.int32)
     energy, rival = np.empty(count, np.float32), np.empty(count, np.float32)
     basis = padded(vectors.basis())
-    in_bands(partial(search, frames, basis, first, last, best, energy, rival), count, 1 << 10)
+    searched = partial(search, frames, basis, finer * NEAR, first, last, best, energy, rival)
+    in_bands(searched, count, 1 << 10)
 
     starts, stops = vectors.cells()
     wide = stops > starts
@@ -110,7 +111,8 @@ def match(
     coefficients[0] = max(coefficients[0], 1e-12)
     coordinate, information = np.empty(count), np.empty(count)
     gain, squares, at_whole = np.empty(count), np.empty(count), np.empty(count)
-    given = (frames, vectors.pieces(), vectors.gains, vectors.offsets, reach, coefficients, best)
+    steps = reach, 0.5 * finer, coefficients
+    given = (frames, vectors.pieces(), vectors.gains, vectors.offsets, *steps, best)
     written = (coordinate, information, gain, squares, at_whole)
     in_bands(partial(refine, *given, *written), count, 1 << 10)
     with np.errstate(divide="ignore", invalid="ignore"):

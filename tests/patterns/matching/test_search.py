@@ -39,7 +39,7 @@ def searched(pixels, basis, first, last):
     count = pixels.shape[1]
     found = np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.float32)
     ends = [ends.astype(np.int32) for ends in (first, last)]
-    search(pixels, padded(basis), *ends, *found, 0, count)
+    search(pixels, padded(basis), NEAR, *ends, *found, 0, count)
     return found
 
 
