@@ -56,7 +56,7 @@ class Radiance:
     Raises
     ------
     InputError
-        For values that are negative or not finite, or a map of less than 4 x 2 pixels.
+        For values that are negative or not finite, a map of less than 4 x 2 pixels, or no light.
     """
 
     def __init__(self, values: ArrayLike) -> None:
@@ -66,6 +66,8 @@ class Radiance:
             raise InputError("environment", expected, self.values.shape)
         if not np.all(np.isfinite(self.values) & (self.values >= 0.0)):
             raise InputError("environment", "finite radiance >= 0", "others")
+        if not self.values.any():
+            raise InputError("environment", "light from somewhere", "a black map")
         self.values.setflags(write=False)
         shape = repr(self.values.shape).encode()
         self.sha256 = hashlib.sha256(shape + self.values.tobytes()).hexdigest()

@@ -140,7 +140,7 @@ class Light(Value):
 
     def dimmed(self, factor: float) -> Light:
         """Return the light with all that comes from around times a factor."""
-        around = self.environment
+        around = self.environment if factor > 0.0 else None
         if around is not None and factor != 1.0:
             radiance = Radiance(np.float32(factor) * around.radiance.values)
             around = replace(around, radiance=radiance)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
+from pydantic import field_validator
+
 from slbench.core.validation.types import FINITE, Fraction, Interval
 from slbench.scene.bsdfs import Bsdf, grey
 from slbench.scene.interiors import Interior
+from slbench.scene.textures import Normals
 
 #: Coefficients of media: mean free paths from 1 um to 10 m.
 Scattering = Annotated[float, FINITE, Interval(ge=1e-4, le=1e3)]
@@ -60,8 +63,8 @@ class Translucent(Bsdf):
 class Dielectric(Bsdf):
     """Clear glass: a mirror by Fresnel's equations, and what lies behind, refracted.
 
-    The projector's light passes it straight, each face taking its reflectance.  The object must be
-    closed.
+    The projector's light passes it straight, each face taking its reflectance.  It is refracted by
+    the mesh's faces, whatever normals these are shaded with.  The object must be closed.
 
     Parameters
     ----------
@@ -70,6 +73,13 @@ class Dielectric(Bsdf):
     """
 
     eta: Annotated[float, FINITE, Interval(gt=1.0, le=4.0)] = 1.5
+
+    @field_validator("normal_map")
+    @classmethod
+    def _by_faces(cls, given: Normals) -> Normals:
+        if given is not None:
+            raise ValueError("none: faces refract glass, relief is in the mesh")
+        return given
 
     @property
     def interior(self) -> Interior:

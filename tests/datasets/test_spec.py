@@ -167,6 +167,24 @@ class TestDraws:
         np.testing.assert_allclose(ours.centre, theirs.centre, atol=1e-11)
         assert coarse.samples == 16
 
+    def test_a_previews_calibration_is_as_wrong_as_the_scenes(self, tmp_path):
+        """What is stated in pixels of the camera is in its larger ones, and the projector's not."""
+        stated = {"camera": {"centre_px": 0.5}, "projector": {"centre_px": 0.3}}
+        path = write_spec(tmp_path, scene={"extends": "plane", "calibration": {"std": stated}})
+        specification, files = load(path)
+        made = draw(specification, 0, 0)
+        for name in ("coarse", "full"):
+            (tmp_path / name).mkdir()
+        coarse = place_scene(made, files, tmp_path / "coarse", True)
+        divisor = round(
+            place_scene(made, files, tmp_path / "full", False).rig.camera.width
+            / coarse.rig.camera.width
+        )
+        assert divisor > 1
+        found = coarse.calibration.covariance.std
+        assert found["camera.cx_px"] == pytest.approx(0.5 / divisor)
+        assert found["projector.cx_px"] == pytest.approx(0.3)
+
     def test_a_mesh_and_a_rig_stand_beside_the_scene(self, tmp_path):
         from slbench.rig.opencv import write_rig
 

@@ -8,6 +8,7 @@ from slbench.core.io import write_exr
 from slbench.scene import environment as module
 from slbench.scene.environment import Environment, Radiance, environment_of, upward_irradiance
 from slbench.scene.file import load_scene, load_settings
+from slbench.scene.model import Light
 
 CORNER = 'extends = "plane"\nname = "lit"\n'
 
@@ -97,6 +98,7 @@ def test_file_is_radiance_by_its_luminance(tmp_path):
         ('map = "window"\nscale = 2.0\nirradiance_w_per_m2 = 1.0', ["scale", "file"]),
         ('file = "square.exr"', ["twice as wide", "8 x 8"]),
         ('file = "dark.exr"\nirradiance_w_per_m2 = 1.0', ["above the horizon"]),
+        ('file = "dark.exr"', ["light from somewhere, got a black map"]),
         ('file = "below.exr"', [">= 0"]),
     ],
 )
@@ -117,3 +119,9 @@ def test_values_refuse_what_no_map_is():
             Radiance(values)
     with pytest.raises(InputError, match="rotation"):
         Environment(Radiance(np.ones((2, 4))), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)))
+
+
+def test_a_band_that_the_surroundings_have_no_light_in_is_dark():
+    light = Light(2e-6, environment=Environment(Radiance(np.ones((4, 8)))))
+    assert light.dimmed(0.0) == Light()
+    assert light.dimmed(0.5).environment.radiance.values.max() == 0.5

@@ -232,6 +232,10 @@ def _coarsen(table: dict[str, Any], width: int, settings: Mapping[str, Any]) -> 
     camera["principal_point_px"] = [(u + 0.5) / divisor - 0.5, (v + 0.5) / divisor - 0.5]
     camera["blur_px"] = camera.get("blur_px", 0.0) / divisor
     camera["fill_factor"] = camera.get("fill_factor", 1.0) / divisor**2
+    own = table.get("calibration", {}).get("std", {}).get("camera", {})
+    for name in own:
+        if name.endswith("_px"):  # of the pixels that are left
+            own[name] /= divisor
     return divisor
 
 

@@ -16,10 +16,13 @@ passes straight, and each face takes the share that Fresnel's equations reflect.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from slbench.core.errors import warn_user
 from slbench.rig import Projector
 from slbench.scene.model import SceneObject
 from slbench.simulate.render.mitsuba import dr, mi
@@ -34,6 +37,8 @@ _FLAGS = mi.RayFlags.Minimal
 _FIRST_STEPS = 16
 #: Distance from a surface that is none, as a share of coordinates: 32 roundings.
 _OFF_SURFACE = 4e-6
+#: Boxes that are nearer than this touch, mm.
+_TOUCHING_MM = 1e-3
 #: What has less weight than this goes on with one chance in two, and twice the weight.
 _FAINT = 0.25
 
@@ -134,6 +139,7 @@ class Interiors:
             for k, shape in enumerate(geometry.shapes())
             if parts[k].object_id in owners
         }
+        question_contact([objects[k] for k in sorted(owners)])
         # Alone, so that a body that stands on a table has its own bottom.
         self.bodies: Any = None
         if bodies:
@@ -214,7 +220,8 @@ class Interiors:
             share = dr.select(going, share * factor, share)
             origin = dr.select(going, _beside(si, direction), origin)
             faces += 1
-            going &= (share > 0) & (faces < _MOST_FACES)
+            share = dr.select(going & (faces >= _MOST_FACES), 0.0, share)
+            going &= share > 0
             return origin, share, faces, going
 
         width = dr.width(active)
@@ -364,6 +371,24 @@ class Interiors:
         value *= dr.exp(-extinction * gap) * fall_off * _phase(g, dr.dot(direction, inward))
         value = dr.select(enclosed & there.scatters & valid & (outer > 0), value, 0.0)
         return _Led(value, mi.Point3f(top - straight * gap), place, start, enclosed)
+
+
+def question_contact(bodies: Sequence[SceneObject]) -> None:
+    """Question translucent objects whose boxes touch: light does not go from one into the other.
+
+    Warns
+    -----
+    InputWarning
+    """
+    boxes = []
+    for body in bodies:
+        corners = body.pose.to_world(body.artefact.mesh.vertices)
+        boxes.append((body.artefact.name, corners.min(axis=0), corners.max(axis=0)))
+    for (a, low, high), (b, lower, higher) in itertools.combinations(boxes, 2):
+        gap = _TOUCHING_MM
+        if np.all(low <= higher + gap) and np.all(lower <= high + gap):
+            why = "where they touch, light that reaches the common face is lost: keep them apart"
+            warn_user(f"translucent objects {a} and {b}", why)
 
 
 def _ray(origin: Any, direction: Any, reach: Any) -> Any:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.io import files_beside, write_exr
 from slbench.core.io.atomic import native_writing
 from slbench.objects import Mesh
@@ -378,6 +378,9 @@ def _integrator(scene: Scene, parts: Iterable[Shape]) -> dict[str, Any]:
             "eta = 1 for translucent materials: Mitsuba's projector cannot be reached through"
         )
         raise InputError(f"scene {scene.name}", expected + " a boundary that refracts", "others")
+    if len(insides) > len(scattering):
+        why = "Mitsuba's projector lights nothing behind it, and its faces count as bounces"
+        warn_user(f"scene {scene.name}: glass", why)
     if scattering:
         return {"type": "volpath", "max_depth": -1, "rr_depth": 1000}
     return {"type": "path", "max_depth": 2 + scene.light.bounces, "rr_depth": 1000}

@@ -1,5 +1,6 @@
 """Clear glass: Fresnel's equations for a plate, a mirror image, an even sky, what is refused."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from helpers_scene import camera, facing_rig, plate, projector, scene
 from stages import ground_truth, trace
 
 from slbench import objects
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, InputWarning
 from slbench.rig import Pose, Rig
 from slbench.scene.bsdfs import Diffuse
 from slbench.scene.environment import Environment, Radiance
@@ -155,9 +156,41 @@ def test_open_and_mixed_objects_are_refused():
         ({"bsdf": "translucent", "g": 1.0}, "g"),
         ({"bsdf": "translucent", "scattering_per_mm": 0.0}, "scattering_per_mm"),
         ({"bsdf": "translucent", "albedo": 0.5}, "scattering_per_mm"),
+        ({"bsdf": "dielectric", "normal_map": "relief.png"}, "normal_map"),
     ):
         with pytest.raises(InputError, match=error):
             Material.from_table(material, "materials.x")
+
+
+def test_translucent_objects_that_touch_are_questioned():
+    rig = facing_rig(camera(), projector(), 500.0)
+    wax = Translucent(scattering_per_mm=0.5)
+    lower, upper = window(0.0, 5.0, bsdf=wax), window(5.0, 5.0, (50.0, 50.0), bsdf=wax)
+    with pytest.warns(InputWarning, match="where they touch, light .* is lost"):
+        trace(scene(rig, lower, upper), ("u",), samples=1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        trace(scene(rig, lower, window(6.0, 0.5, (50.0, 50.0), bsdf=wax)), ("u",), samples=1)
+        # An opaque one on it has the translucent one's whole boundary beneath it.
+        trace(scene(rig, lower, window(5.0, 5.0, bsdf=Diffuse())), ("u",), samples=1)
+
+
+def test_nothing_is_lit_behind_more_faces_than_are_followed():
+    """A card in the light's way casts its shadow however much glass stands before it."""
+    rig = facing_rig(camera(), projector(), 500.0)
+    place = np.array([350.0, 0.0, 500.0])
+    light = Pose.looking_at(place, [0.0, 0.0, 0.0], [0.0, -1.0, 0.0])
+    rig = Rig(rig.camera, rig.projector.posed(light))
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    panes = []
+    for k in range(18):  # upright, between the light and the table
+        artefact = objects.build_artefact("plane", {"size_mm": (400.0, 400.0), "thickness_mm": 1.0})
+        pose = Pose(turn, np.array([70.0 + 4.0 * k, 0.0, 200.0]))
+        panes.append(SceneObject(artefact, pose, Material(Dielectric(eta=1.0001))))
+    artefact = objects.build_artefact("plane", {"size_mm": (400.0, 400.0), "thickness_mm": 1.0})
+    card = SceneObject(artefact, Pose(turn, np.array([60.0, 0.0, 200.0])))
+    seen = trace(scene(rig, plate((100.0, 100.0)), card, *panes), ("u",), samples=4)
+    assert (seen.white() - seen.ambient).max() == 0.0
 
 
 def test_opaque_scenes_know_nothing_of_it():
@@ -203,3 +236,6 @@ def test_what_mitsuba_cannot_light_is_not_written(tmp_path):
             export_xml(scene(rig, item), target, pattern)
             image = mi.render(mi.load_file(str(target)), spp=4, seed=1).numpy()
             assert np.mean(image > 0) > 0.1
+    pane = SceneObject(artefact, material=Material(Dielectric()))
+    with pytest.warns(InputWarning, match="lights nothing behind it"):
+        export_xml(scene(rig, pane), tmp_path / "pane.xml", pattern)
