@@ -17,7 +17,9 @@ from numpy.typing import NDArray
 from slbench.bench.accept.evaluate import Measured, Place, measured_place
 from slbench.bench.accept.registering import Register, registered
 from slbench.bench.accept.surfaces import Points, lines_of
+from slbench.calibration.models.model import CalibrationModel
 from slbench.cloud.triangulation import Axis, PointCloud
+from slbench.core.errors import located
 from slbench.core.random import tagged_seed
 from slbench.objects import PlaneFeature
 from slbench.rig import Pose, Rig
@@ -27,7 +29,7 @@ from slbench.score.features import MAX_INCIDENCE
 from slbench.score.residuals import facing
 from slbench.simulate.floors import halves, noise_free_coordinates
 from slbench.simulate.lights import Lights
-from slbench.simulate.reconstruct import reconstruct
+from slbench.simulate.reconstruct import joining_motion, reconstruct
 from slbench.simulate.stack import capture_stack
 from slbench.simulate.transport import LightTransport
 
@@ -113,14 +115,18 @@ def measure(
     rig : Rig, optional
         That measures; by default what the scene is measured with.
     register : {"poses", "spheres"}
-        How views are registered: by the poses of the standard, or by its balls.
+        How views are registered: by the poses of the standard, or by its balls.  Poses are in the
+        scene's world, to which points of another rig or a model are brought first.
 
     Raises
     ------
     InputError
-        Naming the place, where too little of the standard was measured.
+        Naming the place, where too little of the standard was measured, and where what measures
+        cannot be brought to the scene's world.
     """
-    views = []
+    views, motion = [], None
+    if len(light.scenes) > 1 and register == "poses":
+        motion = _to_scene(light.scenes[0], rig, seed)
     for k, scene in enumerate(light.scenes):
         used = scene
         if rig is not None:
@@ -130,8 +136,29 @@ def measure(
         )
         phase = stack.fuse().decode()
         cloud = reconstruct(used, phase, seed=seed).cloud
-        views.append([points_of(cloud, own, light.half_px[k]) for own in light.pixels[k]])
+        parts = [points_of(cloud, own, light.half_px[k]) for own in light.pixels[k]]
+        if motion is not None:
+            parts = [part.moved(motion.rotation, motion.position) for part in parts]
+        views.append(parts)
     return measured_place(light.place, registered(light.place, views, register))
+
+
+def _to_scene(scene: Scene, rig: Rig | None, seed: int) -> Pose | None:
+    """Return the motion from the world of what measures to the scene's, in which poses are.
+
+    None where points come out in the scene's world.
+    """
+    made, axes = scene.calibration, scene.sequence.axes
+    if rig is scene.rig or (rig is None and (made is None or made.align)):
+        return None
+    measures: Rig | CalibrationModel
+    if rig is not None:
+        measures = rig
+    else:
+        assert made is not None
+        measures = made.model or made.rig_for(scene.rig, seed)
+    with located(f"scene {scene.name}: calibration"):
+        return joining_motion(scene, measures, axes)
 
 
 def points_of(
