@@ -1,5 +1,6 @@
 """Scores of clouds from anywhere: against a scan's truth, artefacts and meshes."""
 
+import shutil
 import warnings
 from dataclasses import replace
 
@@ -9,6 +10,7 @@ import trimesh
 from datasets_small import result_of
 from scenes_small import small
 from scipy.spatial.transform import Rotation
+from worlds import in_another_world
 
 import slbench as sl
 from slbench.cloud import MeasuredCloud, write_cloud
@@ -104,6 +106,48 @@ def test_a_scan_that_was_aligned_has_its_own_score(tmp_path):
     assert [s.measured_mm for s in panel.steps] == pytest.approx(
         [s.measured_mm for s in made.score.steps], abs=5e-4
     )
+
+
+def test_an_aligned_scan_by_a_rig_of_another_world_has_its_own_score(tmp_path):
+    """The rig's file is in its own world, cloud and truth are in the scene's."""
+    scene = small("step-block")
+    calibration = Calibration(rig=in_another_world(scene.rig, TURN), align=True)
+    made = scan(replace(scene, calibration=calibration))
+    write_scan(made, tmp_path / "scan", picture=False)
+    stored = read_json(tmp_path / "scan/score.json")
+    stored.pop("motion")
+    found = sl.score_cloud(tmp_path / "scan", truth=tmp_path / "scan")
+    # Single precision at some 500 mm from the camera, as of a scan by its own rig.
+    same_score(found.to_dict(), stored, 2e-4)
+    write_npz(tmp_path / "panel.npz", u=made.phase.coordinate["u"])
+    panel = sl.score_cloud(tmp_path / "panel.npz", truth=tmp_path / "scan").score
+    assert panel.rms_mm == pytest.approx(made.score.rms_mm, rel=1e-3)
+    assert [s.uncertainty_mm for s in panel.steps] == pytest.approx(
+        [s.uncertainty_mm for s in made.score.steps], rel=0.05
+    )
+
+
+def test_a_stated_uncertainty_alone_covers_errors(scanned):
+    """A cloud with u and no sigma: what is stated of it is kept, and no noise is made of it."""
+    folder, _ = scanned
+    own = sl.read_cloud(folder)
+    cloud = MeasuredCloud(own.points, scalars={"u": own.scalars["u"]}, source="u alone")
+    found, both = (sl.score_cloud(one, truth=folder).score for one in (cloud, own))
+    assert np.isnan(found.predicted_sigma_mm)
+    assert found.predicted_u_mm == pytest.approx(both.predicted_u_mm, rel=1e-6)
+    assert (found.coverage_1u, found.coverage_2u) == (both.coverage_1u, both.coverage_2u)
+
+
+def test_truth_without_a_lit_pixel_is_refused(scanned, tmp_path):
+    folder, _ = scanned
+    dark = tmp_path / "dark"
+    shutil.copytree(folder, dark)
+    truth = result_of(1).truth
+    replace(truth, status=np.zeros_like(truth.status)).save(dark / "truth.exr")
+    write_npz(tmp_path / "panel.npz", u=result_of(1).phase.coordinate["u"])
+    for measured in (tmp_path / "panel.npz", folder):
+        with pytest.raises(InputError, match=r"truth of a lit surface.*none"):
+            sl.score_cloud(measured, truth=dark)
 
 
 def test_the_order_of_points_does_not_matter(scanned):

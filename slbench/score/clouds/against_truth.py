@@ -52,14 +52,13 @@ class ScannedTruth:
     ----------
     name : str
     rig : Rig
-        That was measured with.
+        That was measured with, standing in the world of the truth: moved there where the scan's
+        own cloud was.
     truth : GroundTruth
     axes : tuple of "u", "v"
         Coded axes.
     objects : tuple of SceneObject
         Whose features are fitted; none where their files are not at hand.
-    motion : Pose, optional
-        What the scan's own cloud was aligned by.
     """
 
     name: str
@@ -67,7 +66,6 @@ class ScannedTruth:
     truth: GroundTruth
     axes: tuple[Axis, ...]
     objects: tuple[SceneObject, ...]
-    motion: Pose | None
 
     @classmethod
     def read(cls, folder: str | Path) -> ScannedTruth:
@@ -76,7 +74,7 @@ class ScannedTruth:
         Raises
         ------
         InputError
-            If it has no truth or no rig, or they do not fit together.
+            If it has no truth or no rig, they do not fit together, or no pixel is lit.
 
         Warns
         -----
@@ -93,21 +91,18 @@ class ScannedTruth:
             rows, columns = truth.status.shape
             expected = f"truth of the rig's {size[1]} x {size[0]} px"
             raise InputError(folder, expected, f"{columns} x {rows} px")
+        if not truth.lit.any():
+            raise InputError(folder, "truth of a lit surface", "none")
         made = OutputFolder("scan", ()).parameters(folder)
-        motion = None
-        if (folder / "score.json").is_file():
-            stored = read_json(folder / "score.json")
-            given = stored.get("motion") if isinstance(stored, dict) else None
-            if isinstance(given, dict):
-                turn, place = (np.array(given[key]) for key in ("rotation", "position_mm"))
-                motion = Pose(turn, place)
+        motion = _motion(folder)
+        if motion is not None and not _by_model(made.get("scene")):
+            rig = _moved(rig, motion)
         return cls(
             name=folder.name or str(folder),
             rig=rig,
             truth=truth,
             axes=_axes(made.get("patterns")),
             objects=_objects(made.get("scene"), folder),
-            motion=motion,
         )
 
     def surface(self) -> Mesh:
@@ -127,6 +122,41 @@ class ScannedTruth:
         # Towards the camera: u to the right, v down.
         faces = [np.stack(x, -1) for x in ((first, below, right), (right, below, last))]
         return Mesh(truth.point[truth.lit], np.concatenate(faces))
+
+
+def _motion(folder: Path) -> Pose | None:
+    """Return what a scan's own cloud was aligned by; None where it was not."""
+    if not (folder / "score.json").is_file():
+        return None
+    stored = read_json(folder / "score.json")
+    given = stored.get("motion") if isinstance(stored, dict) else None
+    if not isinstance(given, dict):
+        return None
+    turn, place = (np.array(given[key]) for key in ("rotation", "position_mm"))
+    return Pose(turn, place)
+
+
+def _by_model(content: Any) -> bool:
+    """Tell whether a scan was measured with a calibration model: its rig is the true one then."""
+    table = content.get("calibration") if isinstance(content, dict) else None
+    if not isinstance(table, dict):
+        return False
+    return bool(table.get("model")) or str(table.get("measured_with", "")).endswith(".json")
+
+
+def _moved(rig: Rig, motion: Pose) -> Rig:
+    """Return a rig whose devices stand where a motion takes them."""
+    return rig.having(
+        **{
+            name: replace(
+                device,
+                pose=Pose(
+                    motion.rotation @ device.pose.rotation, motion.to_world(device.pose.position)
+                ),
+            )
+            for name, device in rig.devices.items()
+        }
+    )
 
 
 def _axes(patterns: Any) -> tuple[Axis, ...]:
@@ -170,8 +200,6 @@ def score_panel(
     cloud = triangulate(against.rig, phase)
     if not len(cloud):
         raise InputError(source, "a panel map whose rays meet", "no point")
-    if against.motion is not None:  # the truth is held against points that were moved to it
-        cloud = cloud.moved(against.motion)
     scalars = {"sigma": cloud.sigma_total_mm, "u": cloud.u_total_mm} if known else {}
     measured = MeasuredCloud(cloud.points, scalars=scalars, source=source)
     return _scored(measured, cloud, phase, point_errors(cloud, against.truth), against, expected_um)
@@ -214,8 +242,6 @@ def score_against_truth(
         If the cloud is far larger or smaller than the truth, naming the likely unit.
     """
     truth, rig = against.truth, against.rig
-    if not truth.lit.any():
-        raise InputError(against.name, "truth of a lit surface", "none")
     size = MeasuredCloud(truth.point[truth.lit]).size_mm
     question_unit(cloud, size, f"the truth of {against.name}")
     motion: Pose | None = None
@@ -226,12 +252,11 @@ def score_against_truth(
         placed = place_on_surface(cloud.points, mesh, surface, start)
         motion, free = placed.to_part, placed.free
         cloud = cloud.moved(motion)
-    on_rays = cloud.points if against.motion is None else against.motion.to_local(cloud.points)
     with np.errstate(invalid="ignore"):
-        place = rig.camera.project(on_rays)
+        place = rig.camera.project(cloud.points)
         pixels = np.rint(np.clip(np.nan_to_num(place, nan=-1e6), -1e6, 1e6)).astype(np.int32)
     inside = np.all((pixels >= 0) & (pixels < truth.status.shape[::-1]), axis=1)
-    inside &= rig.camera.pose.to_local(on_rays)[:, 2] > 0.0
+    inside &= rig.camera.pose.to_local(cloud.points)[:, 2] > 0.0
     if np.mean(inside) < _SEEN:
         raise InputError(
             cloud.source,
@@ -240,22 +265,18 @@ def score_against_truth(
         )
     seen = cloud.chosen(inside)
     pixels = pixels[inside]
-    triangulated, phase = _as_triangulated(seen, on_rays[inside], pixels, rig, against.axes)
-    errors = _ray_errors(seen.points, on_rays[inside], pixels, against)
+    triangulated, phase = _as_triangulated(seen, pixels, rig, against.axes)
+    errors = _ray_errors(seen.points, pixels, against)
     result = _scored(seen, triangulated, phase, errors, against, expected_um, align)
     return replace(result, motion=motion, free=free)
 
 
-def _ray_errors(
-    points: Array, on_rays: Array, pixels: NDArray[np.int32], against: ScannedTruth
-) -> Array:
+def _ray_errors(points: Array, pixels: NDArray[np.int32], against: ScannedTruth) -> Array:
     """Return points less where their rays meet the tangent plane of their pixels' true points."""
     truth, camera = against.truth, against.rig.camera
     u, v = pixels.T
     true, normal = truth.point[v, u], truth.normal[v, u]
-    ray = on_rays - camera.chief_origin(on_rays)
-    if against.motion is not None:
-        ray = ray @ against.motion.rotation.T
+    ray = points - camera.chief_origin(points)
     with np.errstate(invalid="ignore", divide="ignore"):
         along = np.sum((points - true) * normal, axis=1) / np.sum(ray * normal, axis=1)
         error = along[:, np.newaxis] * ray
@@ -264,27 +285,24 @@ def _ray_errors(
 
 
 def _as_triangulated(
-    cloud: MeasuredCloud,
-    on_rays: Array,
-    pixels: NDArray[np.int32],
-    rig: Rig,
-    axes: tuple[Axis, ...],
+    cloud: MeasuredCloud, pixels: NDArray[np.int32], rig: Rig, axes: tuple[Axis, ...]
 ) -> tuple[PointCloud, PhaseMap]:
     """Return points as triangulation would have given them, and the panel coordinates they tell.
 
     The deviations of the points become those of the first coded axis, whose sensitivity is along
-    the camera's ray.
+    the camera's ray.  What a cloud states as a whole is steady where no noise is stated of it.
     """
     shape = (rig.camera.height, rig.camera.width)
-    panel, jacobian = rig.projector.project_with_jacobian(on_rays)
-    ray = on_rays - rig.camera.chief_origin(on_rays)
+    panel, jacobian = rig.projector.project_with_jacobian(cloud.points)
+    ray = cloud.points - rig.camera.chief_origin(cloud.points)
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     k = "uv".index(axes[0])
     with np.errstate(invalid="ignore", divide="ignore"):
         sensitivity = ray / np.sum(jacobian[:, k] * ray, axis=1)[:, np.newaxis]
         per_px = np.linalg.norm(sensitivity, axis=1)
         unknown = np.full(len(cloud), np.nan)
-        sigma = cloud.scalars.get("sigma", unknown) / per_px
+        noise = np.zeros(len(cloud)) if "u" in cloud.scalars else unknown
+        sigma = cloud.scalars.get("sigma", noise) / per_px
         whole = cloud.scalars.get("u", unknown) / per_px
         steady = np.sqrt(np.maximum(whole**2 - np.nan_to_num(sigma) ** 2, 0.0))
     triangulated = PointCloud(
@@ -325,10 +343,12 @@ def _scored(
     expected = expected_deviations(cloud, away, size, expected_um)
     share = check_part(cloud, away, expected, f"what {against.name} scanned")
     found = score(triangulated, truth, phase, against.objects, against.rig, errors, aligned)
-    if "u" not in cloud.scalars and "sigma" not in cloud.scalars:
-        nan = float("nan")
-        found = replace(found, predicted_sigma_mm=nan, predicted_u_mm=nan)
-        found = replace(found, coverage_1u=nan, coverage_2u=nan, coverage_3u=nan)
+    nan = float("nan")
+    if "sigma" not in cloud.scalars:
+        found = replace(found, predicted_sigma_mm=nan)
+        if "u" not in cloud.scalars:
+            found = replace(found, predicted_u_mm=nan)
+            found = replace(found, coverage_1u=nan, coverage_2u=nan, coverage_3u=nan)
     u, v = triangulated.pixels.T
     side = np.sum(errors * truth.normal[v, u], axis=1)
     lit = np.isfinite(away)
