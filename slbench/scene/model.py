@@ -183,6 +183,13 @@ class Exposure(Value):
         """Return the exposure of a projector and a trigger without fault."""
         return replace(self, bit_planes=None, trigger=None, drift=None)
 
+    def of_pictures(self, count: int) -> Self:
+        """Return the exposure of so many pictures, without lost triggers of later ones."""
+        if self.trigger is None:
+            return self
+        lost = tuple(k for k in self.trigger.lost if k < count)
+        return replace(self, trigger=replace(self.trigger, lost=lost))
+
 
 @dataclass(frozen=True, eq=False)
 class Scene(Value):

@@ -23,6 +23,7 @@ from slbench.datasets.export.raster import depth_of_mesh
 from slbench.datasets.read.recipe import Recipe
 from slbench.rig import Lens
 from slbench.rig.opencv import read_rig
+from slbench.scene.frame_errors import Drift, Trigger
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.scan import scan
 
@@ -388,6 +389,34 @@ class TestBop:
 
 #: At half the way from the middle of the picture to its corner.
 DISTORTION = (0.8, 0.0, 0.01, -0.01, 0.0)
+
+
+@pytest.mark.parametrize("form", ["bop", "coco"])
+def test_the_fully_lit_picture_has_no_frame_errors(data, tmp_path, form):
+    """Lost pictures lie beyond its end, and a cold lamp would leave it dark."""
+    for name, faults in (
+        ("clean", {}),
+        ("faulty", {"trigger": Trigger(lost=(4, 9)), "drift": Drift(kind="warm-up", change=0.9)}),
+    ):
+        item = data[1]
+        scene = replace(item.scene, exposure=replace(item.scene.exposure, **faults))
+        item.__dict__.update(scene=scene, _settings=scene)
+        export(_only(data, [item]), tmp_path / name, form, RECIPE)
+    lit = "images/000001.png" if form == "coco" else "train/000000/gray/000000.png"
+    clean, faulty = (read(tmp_path / name / lit) for name in ("clean", "faulty"))
+    np.testing.assert_array_equal(faulty, clean)
+    frame = lit.replace("images/", "frames/").replace("gray", "frames").replace(".png", "_004.png")
+    clean, faulty = (read(tmp_path / name / frame) for name in ("clean", "faulty"))
+    assert np.abs(faulty.astype(float) - clean).max() > 10.0  # what is learned from has them
+
+
+def test_shorter_patterns_have_no_lost_pictures_beyond_their_end(data):
+    item = data[1]
+    exposure = replace(item.scene.exposure, trigger=Trigger(lost=(1, 4)))
+    item.__dict__["_settings"] = replace(item.scene, exposure=exposure)
+    np.testing.assert_array_equal(*item.capture("1@3", noise=False).frames[:2])
+    with pytest.raises(InputError, match="lost"):  # of an exposure that is given with them
+        item.capture("1@3", exposure=exposure)
 
 
 @pytest.fixture(scope="module")

@@ -143,8 +143,7 @@ def _write_image(
         raise InputError(item.where, "for BOP a perspective camera", camera.lens.kind)
     name, view = f"{image:06d}", _view(item)
     shots = recipe.shots(item)
-    # With noise of its own: another epoch than the frames'.
-    lit = item.capture("white", recipe.detector, recipe.seed_of(item, epoch=1), recipe.noise)
+    lit = recipe.lit(item)
     write_png(scene / "gray" / f"{name}.png", view.picture(lit.frames[0]))
     frames = [f"frames/{name}_{k:03d}.png" for k in range(len(shots.frames))]
     for file, frame in zip(frames, shots.frames, strict=True):

@@ -54,8 +54,7 @@ def write_coco(data: Dataset, recipe: Recipe, folder: Path) -> Iterator[int]:
     categories: dict[str, int] = {}
     for done, item in enumerate(data, 1):
         name = key(item.number)
-        # With noise of its own: another epoch than the frames'.
-        lit = item.capture("white", recipe.detector, recipe.seed_of(item, epoch=1), recipe.noise)
+        lit = recipe.lit(item)
         write_png(folder / "images" / f"{name}.png", eight_bit(lit)[0])
         seen = item.truth.object_id
         height, width = seen.shape

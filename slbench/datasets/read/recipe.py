@@ -72,3 +72,17 @@ class Recipe(Value):
         if callable(patterns):
             patterns = patterns(sample, generator(seed, 3))
         return sample.capture(patterns, self.detector, seed, self.noise)
+
+    def lit(self, sample: Sample) -> Capture:
+        """Return the fully lit picture of a sample, without frame errors.
+
+        Its noise is its own, of another epoch than that of the frames.
+
+        Raises
+        ------
+        InputError
+            If the sample cannot be read.
+        """
+        exposure = sample.scene.exposure.without_frame_errors()
+        seed = self.seed_of(sample, epoch=1)
+        return sample.capture("white", self.detector, seed, self.noise, exposure=exposure)

@@ -198,7 +198,7 @@ class Sample:
         noise : bool
             False: the expected frames, rounded once.
         exposure : Exposure, optional
-            The scene's by default.
+            The scene's by default, whose lost triggers may lie beyond the end of shorter patterns.
         gamma : float, optional
             Of the panel, the scene's by default.
 
@@ -216,6 +216,7 @@ class Sample:
             sequence, self.transport.panel, allow_modules=self.allow_modules
         ).sequence
         scene, rig = self._settings, self._settings.rig
+        pictures = -(-shown.n_frames // shown.channels)
         if gamma is not None:
             rig = rig.having(projector=replace(rig.projector, gamma=gamma, curve=None))
         return capture(
@@ -223,7 +224,7 @@ class Sample:
             shown,
             rig,
             detector or scene.detector,
-            exposure or scene.exposure,
+            exposure or scene.exposure.of_pictures(pictures),
             seed=seed,
             noise=noise,
             shutter=self._shutter if detector is None and exposure is None else None,
