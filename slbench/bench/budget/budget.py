@@ -3,7 +3,8 @@
 - *Random* sources differ from scan to scan: the standard deviation of a point over the repeats,
   root mean square over the pixels.
 - *Steady* ones do not: how far the mean point moves from that of the floor, root mean square over
-  the pixels; for the floor itself, from the truth.
+  the pixels; for the floor itself, from the truth.  Bit planes, which round as the panel does, are
+  measured from the panel's rounding.
 
 Independent sources add in squares.  The sum is compared with the scene as it is, measured at once:
 where both differ, sources depend on one another: errors in the same pixels may add up or cancel.
@@ -276,8 +277,10 @@ def error_budget(
     )
     measured = np.logical_and.reduce([np.isfinite(one.sets[0].std_mm) for one in found])
     *alone, everything = found
+    by_name = {one.name: result for one, result in zip(sources, alone, strict=True)}
     rows = [
-        _row(source, one, alone[0], measured) for source, one in zip(sources, alone, strict=True)
+        _row(source, one, by_name.get(source.beyond, alone[0]), measured)
+        for source, one in zip(sources, alone, strict=True)
     ]
     # Not in the whole, where noise may hide it: in the floor, which it is said to be part of.
     sampling, floor_mm = rows[1].size_mm, rows[0].size_mm

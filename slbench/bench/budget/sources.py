@@ -57,6 +57,8 @@ class Source:
     dithered : bool
         Whether the noise of the whole scene makes a steady source random: rounding, of noise that
         is more than half a step.
+    beyond : str
+        Name of the source that a steady one is measured from; the floor by default.
     """
 
     name: str
@@ -66,6 +68,7 @@ class Source:
     counted: bool = True
     other_samples: bool = False
     dithered: bool = False
+    beyond: str = ""
 
     @property
     def adds_to(self) -> Kind:
@@ -148,7 +151,7 @@ def shown(base: Scene, **changes: Any) -> Scene:
 
 def moving(base: Scene, vibration_px: float) -> Scene:
     """Return an ideal scene that vibrates."""
-    return replace(base, exposure=replace(base.exposure, vibration_px=vibration_px))
+    return _exposed(base, vibration_px=vibration_px)
 
 
 def metered(scene: Scene, transport: LightTransport) -> tuple[Scene, float]:
@@ -204,9 +207,11 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
     if spreading:
         name = "lenses: change of the floor by defocus, diffraction, blur"
         found.append(Source(name, "steady", sharp, counted=False))
+    coarse, rounding = base, ""
     if projector.bit_depth is not None:
         coarse = shown(base, bit_depth=projector.bit_depth)
-        found.append(Source(f"panel of {projector.bit_depth} bit", "steady", coarse))
+        rounding = f"panel of {projector.bit_depth} bit"
+        found.append(Source(rounding, "steady", coarse))
     if not projector.response.linear:
         words = f"gamma {projector.gamma:g}" if projector.curve is None else "a measured curve"
         found.append(Source(f"response, {words}", "steady", shown(base, **bending)))
@@ -249,22 +254,43 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
         name = f"vibration, {scene.exposure.vibration_px:g} px"
         shaken = moving(lit, scene.exposure.vibration_px)
         found.append(Source(name, "random", shaken, repeats * VIBRATION_REPEATS))
-    return [*found, *_frame_errors(scene.exposure, lit, repeats)]
+    return [*found, *_frame_errors(scene.exposure, time_s, (base, coarse, lit), rounding, repeats)]
 
 
-def _frame_errors(exposure: Exposure, lit: Scene, repeats: int) -> Iterator[Source]:
-    """Yield the frame errors of an exposure, each alone."""
+def _frame_errors(
+    exposure: Exposure,
+    time_s: float,
+    scenes: tuple[Scene, Scene, Scene],
+    rounding: str,
+    repeats: int,
+) -> Iterator[Source]:
+    """Yield the frame errors of an exposure, each alone.
+
+    Scenes are the ideal one, that with the panel's `rounding` (a source), and the lit one.  What is
+    random is of the scene's own light, as noise is; steady ones would hold its steady errors too.
+    """
+    base, coarse, lit = scenes
     planes, trigger, drift = exposure.bit_planes, exposure.trigger, exposure.drift
-    alone = exposure.without_frame_errors()
-    drawn = planes is not None and planes.free_running, trigger is not None and trigger.rate > 0.0
-    for name, chance, own in (
-        ("grey levels by bit planes", drawn[0], planes and replace(alone, bit_planes=planes)),
-        ("lost triggers", drawn[1], trigger and replace(alone, trigger=trigger)),
-        ("brightness drift", False, drift and replace(alone, drift=drift)),
-    ):
-        if own:
-            shot = replace(lit, exposure=replace(own, vibration_px=0.0))
-            yield Source(name, "random" if chance else "steady", shot, repeats if chance else 2)
+    if planes is not None:
+        # As many as in the scene, whose exposure is not that of a bottomless detector.
+        planes = replace(planes, period_s=None, periods=planes.lasting(time_s))
+        name = "grey levels by bit planes"
+        if planes.free_running:
+            yield Source(name, "random", _exposed(lit, bit_planes=planes), repeats)
+        else:
+            yield Source(name, "steady", _exposed(coarse, bit_planes=planes), beyond=rounding)
+    if trigger is not None:
+        if trigger.rate > 0.0:
+            yield Source("lost triggers", "random", _exposed(lit, trigger=trigger), repeats)
+        else:
+            yield Source("lost triggers", "steady", _exposed(base, trigger=trigger))
+    if drift is not None:
+        yield Source("brightness drift", "steady", _exposed(base, drift=drift))
+
+
+def _exposed(base: Scene, **changes: Any) -> Scene:
+    """Return an ideal scene with another exposure."""
+    return replace(base, exposure=replace(base.exposure, **changes))
 
 
 def measure_sources(

@@ -16,6 +16,7 @@ from slbench.bench.budget.sources import ideal, metered, sources_of
 from slbench.core.errors import InputWarning
 from slbench.core.io import read_json
 from slbench.detector.base import DetectorModel
+from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
 from slbench.simulate.expose import shutter_for
 from slbench.simulate.stack import traced
 from slbench.thesis.ch7.twoterm import vibration_std_mm
@@ -64,8 +65,52 @@ class Other(DetectorModel):
         return self.inner.exposure_scale(*arguments)
 
 
+def faulty(folder, **faults):
+    """Return the budget of frame errors where the panel bends and light bounces.
+
+    Steady rows need two scans.
+    """
+    content = {"light": {"bounces": 2}, "projector": {"gamma": 1.5}, "render": {"samples": 4}}
+    scene = sl.load_scene(write_scene(folder, **content))
+    scene = replace(scene, exposure=replace(scene.exposure, **faults))
+    return error_budget(scene, repeats=2, seed=2)
+
+
 def names(budget):
     return {row.name for row in budget.rows}
+
+
+class TestFrameErrors:
+    @pytest.mark.filterwarnings("ignore::slbench.core.errors.InputWarning")
+    def test_steady_ones_hold_nothing_else(self, tmp_path):
+        """Faults of no size have rows of none: no bounces, no gamma and no rounding are in them."""
+        none = {
+            "bit_planes": BitPlanes(periods=2.0),
+            "trigger": Trigger(lost=()),
+            "drift": Drift(change=0.0),
+        }
+        found = faulty(tmp_path, **none)
+        assert found["response"].size_mm > 1e-3
+        assert found["interreflections"].size_mm > 1e-5
+        assert found["panel of 8 bit"].size_mm > 1e-4
+        # Values by bit planes are the panel's to double precision, and frames of 16 bits round them
+        # alike but at the very edge of a level: a nanometre is far below all rows above.
+        for name in ("grey levels by bit planes", "lost triggers", "brightness drift"):
+            assert found[name].size_mm < 1e-6, name
+
+    @pytest.mark.filterwarnings("ignore::slbench.core.errors.InputWarning")
+    def test_bit_planes_by_their_period(self, tmp_path):
+        """As many periods as in the scene's own exposure, which is not that of the ideal one."""
+        scene = sl.load_scene(write_scene(tmp_path))
+        _, time_s = metered(scene, traced(scene)[0])
+        by_time, by_count = (
+            error_budget(
+                replace(scene, exposure=replace(scene.exposure, bit_planes=planes)), repeats=2
+            )["grey levels by bit planes"].size_mm
+            for planes in (BitPlanes(period_s=time_s / 1.5), BitPlanes(periods=1.5))
+        )
+        assert by_count > 1e-2  # a sixth of white at most, of fringes of half a millimetre
+        assert by_time == pytest.approx(by_count, rel=1e-6)
 
 
 class TestSum:
