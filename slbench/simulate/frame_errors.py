@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.random import generator, tagged_seed
 from slbench.rig import Projector
-from slbench.scene.model import Exposure, Scene
+from slbench.scene.model import Exposure
 
 Array = NDArray[np.float64]
 
@@ -118,17 +118,3 @@ def frame_errors(
             periods = 1.0
         weights = np.array([planes.weights(count, periods, start) for start in starts])
     return FrameErrors(gains, source, share, weights)
-
-
-def check_frame_errors(scene: Scene) -> None:
-    """Check that a scene's frame errors can be, before light is traced.
-
-    Raises
-    ------
-    InputError
-        As :func:`frame_errors`.
-    """
-    pictures = -(-scene.sequence.n_frames // scene.sequence.channels)
-    for pair in scene.rig.pairs:  # a second stands for the exposure, which is not yet known
-        projector = scene.rig.pair(pair).projector
-        frame_errors(scene.exposure, projector, pictures, 1.0, seed=0, noise=False)

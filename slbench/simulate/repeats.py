@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from slbench import objects
 from slbench.capture.stack import WeightSource
+from slbench.core.errors import InputError, located
 from slbench.core.random import Word, generator, tagged_seed
 from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
 from slbench.rig import Pose
@@ -22,7 +23,7 @@ from slbench.scene.materials import PRESETS
 from slbench.scene.model import Scene, SceneObject
 from slbench.simulate.expose import lighting, radiance_batches, shutter_for
 from slbench.simulate.floors import fused_radiance, halves
-from slbench.simulate.stack import capture_stack
+from slbench.simulate.stack import capture_stack, check_frame_errors
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
@@ -69,6 +70,24 @@ def _texture(scene: Scene, height_mm: float, square_mm: float) -> SceneObject:
     return SceneObject(board, pose, scene.objects[0].material, materials)
 
 
+def check_repeats(scene: Scene, fringes: Sequence[int], shifts: int) -> None:
+    """Check that a scene's frame errors can be in repeats, before light is traced.
+
+    Parameters are those of :func:`repeated_phases`.
+
+    Raises
+    ------
+    InputError
+        For frame errors that its patterns cannot have, and for any with focus settings, where each
+        fringe set is a stack of its own.
+    """
+    with located(f"scene {scene.name}"):
+        if scene.focus is not None and scene.exposure.has_frame_errors:
+            expected = "no frame errors with focus settings: each fringe set is captured alone"
+            raise InputError("exposure", expected, "bit_planes, trigger or drift")
+        check_frame_errors(replace(scene, sequence=_patterns(scene, fringes, shifts)))
+
+
 def repeated_phases(
     scene: Scene,
     transports: Sequence[LightTransport],
@@ -104,24 +123,27 @@ def repeated_phases(
     modulation : (repeats, k, P) float
         DN.
     """
-    parts = tuple(Fringes(n, shifts) for n in fringes)
-    panel = (scene.rig.projector.width, scene.rig.projector.height)
-    patterned = replace(scene, sequence=PatternSequence(panel, parts))
+    patterned = replace(scene, sequence=_patterns(scene, fringes, shifts))
     if scene.focus is None:
         captures = _frames(patterned, transports[0], pixels, repeats, seed)
     else:
         captures = _fused_frames(patterned, transports, pixels, repeats, seed, weights)
-    phases = np.empty((repeats, len(parts), len(pixels)))
+    phases = np.empty((repeats, len(fringes), len(pixels)))
     modulation = np.empty(phases.shape)
     for r, values in enumerate(captures):
         saturated = values >= scene.detector.saturation_dn
-        for k in range(len(parts)):
+        for k in range(len(fringes)):
             own = slice(k * shifts, (k + 1) * shifts)
             phase, (modulation[r, k],), _ = relative_phase(values[own, np.newaxis])
             phases[r, k] = np.where(saturated[own].any(axis=0), np.nan, phase[0])
         if on_progress:
             on_progress((r + 1) / repeats)
     return phases, modulation
+
+
+def _patterns(scene: Scene, fringes: Sequence[int], shifts: int) -> PatternSequence:
+    panel = (scene.rig.projector.width, scene.rig.projector.height)
+    return PatternSequence(panel, tuple(Fringes(n, shifts) for n in fringes))
 
 
 def noise_free_waves(

@@ -34,11 +34,10 @@ from slbench.score.fusion import FusionScore, score_fusion
 from slbench.score.points import Score
 from slbench.score.points import score as score_points
 from slbench.simulate.floors import floor_of, more_samples
-from slbench.simulate.frame_errors import check_frame_errors
 from slbench.simulate.lights import Lights
 from slbench.simulate.reconstruct import calibration_doubts, reconstruct
 from slbench.simulate.sharp import expected_frames
-from slbench.simulate.stack import capture_stack
+from slbench.simulate.stack import capture_stack, check_frame_errors
 from slbench.simulate.transport import LightTransport
 
 #: Called with the name of the stage and its finished fraction.

@@ -9,15 +9,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
 from slbench.capture.capture import Capture
 from slbench.capture.stack import FocusStack
 from slbench.core.colour import BANDS
+from slbench.core.errors import InputError
 from slbench.core.random import setting_seed
 from slbench.patterns import Flat, PatternSequence
 from slbench.scene.colour import Colour
 from slbench.scene.model import Scene
 from slbench.simulate.colour import ColourTransport
 from slbench.simulate.expose import Shutter, capture, lighting, shutter_for
+from slbench.simulate.frame_errors import frame_errors
 from slbench.simulate.transport import LightTransport, Marginal
 
 
@@ -26,6 +30,28 @@ def with_lit_frame(sequence: PatternSequence) -> PatternSequence:
     if sequence.lit_frame is not None:
         return sequence
     return replace(sequence, parts=(*(Flat(1.0),) * sequence.channels, *sequence.parts))
+
+
+def check_frame_errors(scene: Scene) -> None:
+    """Check that a scene's frame errors can be, before light is traced.
+
+    Raises
+    ------
+    InputError
+        For a lost trigger of a picture that there is not, a lamp with less than no light, and a
+        panel's period where the exposure time is not known.
+    """
+    exposure, alone = scene.exposure, scene.focus is None
+    sequence = scene.sequence if alone else with_lit_frame(scene.sequence)
+    pictures = -(-sequence.n_frames // sequence.channels)
+    planes = exposure.bit_planes
+    timed = planes is not None and planes.period_s is not None
+    for rig in map(scene.rig.pair, scene.rig.pairs):
+        if timed and not np.isfinite(rig.camera.lens.f_number):
+            expected = "periods instead, with a pinhole, whose exposure time is not known"
+            raise InputError("exposure.bit_planes.period_ms", expected, "a period")
+        # A second stands for the exposure, which is not yet known.
+        frame_errors(exposure, rig.projector, pictures, 1.0, seed=0, noise=False)
 
 
 def traced(

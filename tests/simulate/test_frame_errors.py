@@ -5,6 +5,7 @@ shows.
 """
 
 import warnings
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -13,9 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
+from slbench.bench.budget.budget import error_budget
 from slbench.bench.budget.sources import Source, sources_of
+from slbench.bench.compare import compare as compare_module
 from slbench.cloud.decoded import decode_capture
 from slbench.core.errors import InputError, InputWarning
+from slbench.design.fringes import trial
 from slbench.detector import Detector
 from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
@@ -23,10 +27,12 @@ from slbench.scene.colour import Colour
 from slbench.scene.file import load_scene
 from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
 from slbench.scene.model import Exposure
+from slbench.simulate import lights
 from slbench.simulate.colour import ColourTransport
 from slbench.simulate.expose import Shutter, capture, radiance_batches
 from slbench.simulate.frame_errors import frame_errors
 from slbench.simulate.scan import scan
+from slbench.simulate.stack import check_frame_errors
 from slbench.simulate.transport import LightTransport
 
 SIZE = (64, 4)
@@ -379,6 +385,57 @@ def test_a_scan_refuses_them_before_it_traces():
     with pytest.raises(InputError, match=r"scene plane: exposure\.trigger\.lost: .*0 to 8, got 9"):
         scan(scene, on_progress=lambda stage, done: stages.append(stage))
     assert stages == []
+
+
+def untraced(monkeypatch):
+    """Let all that traces light fail."""
+    for module in (lights, compare_module, trial):
+        monkeypatch.setattr(module, "traced", lambda *_, **__: pytest.fail("traced"))
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda scene: compare_module.compare(scene, ["1,10,50@3", "1@3"], repeats=2),
+        lambda scene: error_budget(scene.with_patterns("1@3"), repeats=2),
+        lambda scene: trial.noise_of_scene(scene, (1,)),
+    ],
+)
+def test_sets_of_fewer_pictures_are_refused_before_light_is_traced(ask, monkeypatch):
+    untraced(monkeypatch)
+    scene = load_scene("plane", preview=True, changes={"exposure.trigger.lost": [4]})
+    with pytest.raises(
+        InputError, match=r"(set 1@3|scene plane): .*trigger\.lost: .*0 to 2, got 4"
+    ):
+        ask(scene)
+
+
+def test_noise_by_focus_stacks_has_no_frame_errors(monkeypatch):
+    """Each fringe set would be a stack of its own, with a drift of its own."""
+    untraced(monkeypatch)
+    scene = load_scene("ch8-stack", preview=True, changes={"exposure.drift.change": 0.1})
+    with pytest.raises(InputError, match=r"exposure: .*no frame errors with focus settings"):
+        trial.noise_of_scene(scene, (1, 4))
+
+
+def test_the_fully_lit_picture_of_a_stack_counts():
+    scene = load_scene("ch8-stack", preview=True)
+    count = scene.sequence.n_frames
+    assert scene.sequence.lit_frame is None
+    for lost, fits in ((count, True), (count + 1, False)):
+        exposure = replace(scene.exposure, trigger=Trigger(lost=(lost,)))
+        with nullcontext() if fits else pytest.raises(InputError, match=f"0 to {count}, got"):
+            check_frame_errors(replace(scene, exposure=exposure))
+
+
+def test_a_period_asks_for_an_exposure_time():
+    scene = load_scene("plane", preview=True)
+    camera = replace(scene.rig.camera, lens=replace(scene.rig.camera.lens, aperture_radius_mm=0.0))
+    for planes, fits in ((BitPlanes(periods=1.5), True), (BitPlanes(period_s=0.01), False)):
+        exposure = replace(scene.exposure, bit_planes=planes)
+        own = replace(scene, rig=scene.rig.having(camera=camera), exposure=exposure)
+        with nullcontext() if fits else pytest.raises(InputError, match=r"period_ms: .*periods"):
+            check_frame_errors(own)
 
 
 def test_pictures_that_there_are_not_are_refused():

@@ -35,7 +35,7 @@ from slbench.bench.budget.sources import (
 )
 from slbench.bench.compare.comparison import Comparison
 from slbench.bench.compare.sets import PatternSet
-from slbench.core.errors import warn_user
+from slbench.core.errors import located, warn_user
 from slbench.core.io import OutputFolder, write_json, write_table
 from slbench.core.show.display import block, length
 from slbench.core.show.document import Cell, Table
@@ -45,6 +45,7 @@ from slbench.core.validation.values import checked
 from slbench.scene.model import Scene
 from slbench.simulate.floors import more_samples
 from slbench.simulate.lights import Lights
+from slbench.simulate.stack import check_frame_errors
 
 Array = NDArray[np.float64]
 
@@ -259,6 +260,8 @@ def error_budget(
     InputWarning
         If more samples would change the floor.
     """
+    with located(f"scene {scene.name}"):
+        check_frame_errors(scene)
     axes = scene.sequence.variations
     # Ideal lenses and real ones, both in the scene's own light too, and without ambient light.
     lights = Lights(seed, kept=6)

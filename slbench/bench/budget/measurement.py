@@ -32,6 +32,7 @@ from slbench.simulate.expose import lighting, move_pictures, radiance_batches, s
 from slbench.simulate.frame_errors import frame_errors
 from slbench.simulate.lights import Lights
 from slbench.simulate.reconstruct import joining_motion
+from slbench.simulate.stack import check_frame_errors
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
@@ -77,6 +78,8 @@ class Measurement:
         if scene.calibration is not None and scene.calibration.model is not None:
             raise InputError(f"{where}: calibration", "a rig to measure with", "a model")
         scene.sequence.runs()
+        with located(where):
+            check_frame_errors(scene)
         self._scene = scene
         self.measurands = [measurand_of(one, scene) for one in measurands]
         self._estimates = {one.name: one.value for one in inputs if one.scalar}

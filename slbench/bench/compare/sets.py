@@ -41,6 +41,7 @@ from slbench.patterns import (
 )
 from slbench.patterns.given import object_name
 from slbench.scene.model import Scene
+from slbench.simulate.stack import check_frame_errors
 
 Equal = Literal["frames", "photons"]
 
@@ -152,8 +153,8 @@ def pattern_sets(
     Raises
     ------
     InputError
-        For no sets, a set given twice, one that cannot be read, shown or decoded, or another
-        `equal`.
+        For no sets, a set given twice, one that cannot be read, shown or decoded, another `equal`,
+        or frame errors of the scene that a set cannot have.
     """
     if isinstance(given, str) or not given:
         raise InputError("sets", "one or more pattern sets", repr(given))
@@ -174,10 +175,13 @@ def pattern_sets(
             raise InputError("sets", "every set once", f"{one.name} twice")
     if equal == "frames":
         longest = max(one.frames for one in sets)
-        return tuple(with_frames(one, longest) for one in sets)
-    if equal == "photons":
+        sets = [with_frames(one, longest) for one in sets]
+    elif equal == "photons":
         shortest = min(one.frames for one in sets)
-        return tuple(replace(one, exposure_share=shortest / one.frames) for one in sets)
+        sets = [replace(one, exposure_share=shortest / one.frames) for one in sets]
+    for one in sets:
+        with located(f"set {one.name}"):
+            check_frame_errors(one.of(scene))
     return tuple(sets)
 
 

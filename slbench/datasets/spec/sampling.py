@@ -29,7 +29,7 @@ from slbench.rig.opencv import write_rig
 from slbench.scene.devices.optics import CameraOptics
 from slbench.scene.file import load_scene, load_settings, objects_of
 from slbench.scene.model import Scene
-from slbench.simulate.frame_errors import check_frame_errors
+from slbench.simulate.stack import check_frame_errors
 
 #: Width and Monte Carlo samples of a preview, where the scene does not say.
 _PREVIEW_WIDTH, _PREVIEW_SAMPLES = 320, 16

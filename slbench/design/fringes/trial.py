@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.stack import FusedCapture, WeightSource
-from slbench.core.errors import InputError, warn_user
+from slbench.core.errors import InputError, located, warn_user
 from slbench.core.random import generator, tagged_seed
 from slbench.core.validation.types import Repeats
 from slbench.core.validation.values import checked
@@ -42,8 +42,8 @@ from slbench.patterns.phase import squared_modulation_bias
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.floors import ordinary_rms, rms
-from slbench.simulate.repeats import noise_free_waves, plate_scene, repeated_phases
-from slbench.simulate.stack import capture_stack, traced
+from slbench.simulate.repeats import check_repeats, noise_free_waves, plate_scene, repeated_phases
+from slbench.simulate.stack import capture_stack, check_frame_errors, traced
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -168,7 +168,8 @@ def noise_of_scene(
     Raises
     ------
     InputError
-        If the plate is not seen and lit at a height, saturates, or shows no fringes at all.
+        For frame errors that the patterns cannot have, and any with focus settings;
+        if the plate is not seen and lit at a height, saturates, or shows no fringes at all.
 
     Warns
     -----
@@ -177,6 +178,7 @@ def noise_of_scene(
     """
     from slbench.simulate.render.groundtruth import ground_truth
 
+    check_repeats(scene, fringes, shifts)
     samples = 0  # as many as were traced
 
     heights = np.array(
@@ -288,16 +290,20 @@ def scan_repeatedly(
     Raises
     ------
     InputError
-        If no pixel is lit like the plate, or all of them saturate.
+        For frame errors that a sequence cannot have; if no pixel is lit like the plate, or all of
+        them saturate.
     """
     from slbench.simulate.render.groundtruth import ground_truth
 
+    panel = (scene.rig.projector.width, scene.rig.projector.height)
+    with located(f"scene {scene.name}"):
+        for design in designs:
+            check_frame_errors(replace(scene, sequence=design.sequence(panel)))
     transports = traced(scene, ("u",), seed=tagged_seed(seed, _LIGHT, 0))
     truth = ground_truth(scene.objects, scene.rig)
     alike = [i for i, o in enumerate(scene.objects) if o.material == scene.objects[0].material]
     pixels = np.flatnonzero(truth.smooth() & np.isin(truth.object_id, alike))
     true = truth.panel[..., 0].ravel()[pixels]
-    panel = (scene.rig.projector.width, scene.rig.projector.height)
     trials: list[Trial] = []
     like_plate = np.ones(len(pixels), bool)
     for k, design in enumerate(designs):
