@@ -11,8 +11,8 @@ The steps are those of :mod:`slbench.simulate.expose`, each with a gradient:
   law is skewed, and the approximation poor.
 - *Clipping* has no gradient beyond its limits.
 
-The fixed pattern is the detector's own.  Vibration, and colour pictures with cross-talk, are not
-in it.
+The fixed pattern is the detector's own.  Vibration, frame errors
+(:mod:`slbench.scene.frame_errors`) and colour pictures with cross-talk are not in it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, warn_user
 from slbench.core.extras import extra
 from slbench.detector import DetectorModel
 from slbench.detector.emva1288 import Detector
@@ -240,7 +240,15 @@ def torch_exposure(
     InputError
         If PyTorch is not installed, the light has no such marginal, or the detector is of another
         kind.
+
+    Warns
+    -----
+    InputWarning
+        If the exposure has frame errors.
     """
+    if exposure.has_frame_errors:
+        left_out = "bit planes, lost triggers and drift are left out of an exposure with gradients"
+        warn_user("exposure", left_out, stacklevel=3)
     light = transport.torch(along, pixels=pixels, dense=dense, dtype=dtype, device=device)
     shutter = shutter or shutter_for(transport, camera, detector, exposure)
     panel = TorchPanel(projector, gamma).to(light.ambient.device)

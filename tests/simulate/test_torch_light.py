@@ -10,8 +10,9 @@ from sparse_samples import sparse_rows
 
 torch = pytest.importorskip("torch", reason="PyTorch (the extra `torch`) is not installed")
 
-from slbench.core.errors import InputError  # noqa: E402
+from slbench.core.errors import InputError, InputWarning  # noqa: E402
 from slbench.detector.emva1288 import Detector  # noqa: E402
+from slbench.scene.frame_errors import Drift  # noqa: E402
 from slbench.simulate.expose import Shutter  # noqa: E402
 from slbench.simulate.torch_exposure import TorchExposure, TorchPanel, torch_exposure  # noqa: E402
 from slbench.simulate.transport import LightTransport  # noqa: E402
@@ -274,6 +275,16 @@ class TestExposure:
         values = torch.tensor(panels("u"), dtype=torch.float32)
         frames = few(values, noise=False)
         np.testing.assert_array_equal(frames, whole(values, noise=False).reshape(4, -1)[:, pixels])
+
+    def test_frame_errors_are_said_to_be_left_out(self, tiny):
+        scene = small("step-block")
+        exposure = replace(scene.exposure, drift=Drift(change=-0.5, pictures=2.0))
+        parts = scene.rig.camera, scene.rig.projector, scene.detector
+        with pytest.warns(InputWarning, match="exposure: .*drift are left out"):
+            drifting = torch_exposure(tiny, *parts, exposure)
+        values = torch.tensor(panels("u"), dtype=torch.float32)
+        steady = torch_exposure(tiny, *parts, scene.exposure)
+        np.testing.assert_array_equal(drifting(values, noise=False), steady(values, noise=False))
 
     def test_another_detector_is_refused(self, tiny):
         scene = small("step-block")

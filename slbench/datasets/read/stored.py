@@ -233,6 +233,8 @@ class Sample:
     def torch(self, along: Marginal = "u", **options: Any) -> TorchExposure:
         """Return its exposure as a PyTorch module, ``frames = exposure(values)``, with gradients.
 
+        Vibration and frame errors are left out; of the latter there is a warning.
+
         Parameters
         ----------
         along : {"u", "v", "uv"}
