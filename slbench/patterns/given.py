@@ -130,7 +130,9 @@ class PatternsTable(Value):
 
     def coloured(self, sequence: PatternSequence) -> PatternSequence:
         """Return the sequence that the words stand for, its frames packed as the table says."""
-        return sequence if self.crosstalk is None else replace(sequence, crosstalk=self.crosstalk)
+        if self.crosstalk is None:
+            return sequence
+        return replace(sequence, crosstalk=self.crosstalk, assumed=None)
 
     def content(self, panel: Panel) -> dict[str, Any]:
         """Return what :meth:`PatternSequence.from_dict` reads, for a panel unless one is stated."""

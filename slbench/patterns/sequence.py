@@ -13,7 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Any, cast, get_args
@@ -92,6 +92,9 @@ class PatternSequence(Value):
     crosstalk : tuple of K tuples of K float, optional
         Every K frames in a row are the channels of one colour picture, and row i says which share
         of each camera channel i sees (:mod:`slbench.patterns.crosstalk`).
+    assumed : tuple of K tuples of K float, optional
+        A `crosstalk` equal to this is not stated but assumed: a scene takes its own instead.
+        None: whatever `crosstalk` is, it is stated.
 
     Raises
     ------
@@ -106,6 +109,7 @@ class PatternSequence(Value):
     unwrap: Unwrap = "auto"
     max_order_residual: OrderResidual = MAX_ORDER_RESIDUAL
     crosstalk: tuple[tuple[NotNegative, ...], ...] | None = None
+    assumed: tuple[tuple[NotNegative, ...], ...] | None = field(default=UNMIXED, compare=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -391,7 +391,8 @@ def _patterns(
 ) -> PatternSequence:
     """Return the scene's own patterns: parts, or what its ``sequence`` says or names."""
     if table.parts is not None:
-        return read_patterns(table.content(panel), panel, folder=folder).sequence
+        stated = read_patterns(table.content(panel), panel, folder=folder)
+        return table.coloured(stated.sequence)
     found = read_patterns(
         USUAL_PATTERNS if table.sequence is None else table.sequence,
         panel,

@@ -214,8 +214,8 @@ class Scene(Value):
     calibration : Calibration or None
         What it is measured with; None for the rig that is rendered.
     colour : Colour or None
-        Three bands of light; None for one.  Colour patterns whose channels are said not to mix are
-        taken apart by its cross-talk.
+        Three bands of light; None for one.  Colour patterns that state no cross-talk of their own
+        (:attr:`PatternSequence.assumed`) are taken apart by its own.
     """
 
     name: str
@@ -233,8 +233,7 @@ class Scene(Value):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.colour is not None:
-            object.__setattr__(self, "sequence", _calibrated(self.sequence, self.colour))
+        object.__setattr__(self, "sequence", _calibrated(self.sequence, self.colour))
         panel = (self.rig.projector.width, self.rig.projector.height)
         if self.sequence.panel != panel:
             raise InputError(
@@ -332,6 +331,7 @@ class Scene(Value):
             changed = replace(
                 PatternSequence.parse(str(source), panel, many, along),
                 crosstalk=self.sequence.crosstalk,
+                assumed=self.sequence.assumed,
             )
             found = GivenPatterns(changed.name, changed, own_axes=False)
         if stated and found.own_axes:
@@ -432,22 +432,27 @@ class Scene(Value):
         )
 
 
-def _calibrated(sequence: PatternSequence, colour: Colour) -> PatternSequence:
-    """Return a sequence in colour that is taken apart by a scene's cross-talk.
+def _calibrated(sequence: PatternSequence, colour: Colour | None) -> PatternSequence:
+    """Return a sequence with the cross-talk of a scene, unless it states one of its own.
 
     Raises
     ------
     InputError
-        For pictures of other than three channels, and channels that cannot be told apart.
+        For pictures of other than three channels in a scene of three, and channels that cannot be
+        told apart.
     """
     if sequence.crosstalk is None:
         return sequence
-    if sequence.channels != len(BANDS):
+    if colour is not None and sequence.channels != len(BANDS):
         expected = f"{len(BANDS)} channels a picture, those of the scene's colour"
         raise InputError("patterns: crosstalk", expected, sequence.channels)
-    if colour.unmix and sequence.crosstalk == UNMIXED:
-        return replace(sequence, crosstalk=colour.crosstalk)
-    return sequence
+    if sequence.crosstalk != sequence.assumed:
+        return sequence
+    matrix = colour.crosstalk if colour is not None and colour.unmix else UNMIXED
+    if matrix == sequence.crosstalk:
+        return sequence
+    # Another scene takes its own in turn.
+    return replace(sequence, crosstalk=matrix, assumed=matrix)
 
 
 def place_of(rig: Rig, objects: Sequence[SceneObject]) -> Pose:

@@ -1,7 +1,10 @@
 """``[colour]``: what is refused, what is questioned, and the scene that each band is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import tomli_w
 import trimesh
 from PIL import Image
 from trimesh.visual import TextureVisuals
@@ -92,6 +95,44 @@ def test_colour_patterns_are_taken_apart_by_the_scenes_cross_talk(tmp_path):
     assert scene.with_patterns(stated).sequence.crosstalk == own
     kept = load_scene(write(tmp_path, "unmix = false")).with_patterns("1,16@3+rgb")
     assert kept.sequence.crosstalk == ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+
+
+def test_the_matrix_follows_the_scenes_colour(tmp_path):
+    identity = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
+    path = write(tmp_path, f"response = {[list(row) for row in RESPONSE]}")
+    scene = load_scene(path).with_patterns("1,16@3+rgb")
+    other = replace(scene, colour=Colour(PRIMARIES))
+    assert other.sequence.crosstalk == PRIMARIES
+    assert replace(other, colour=scene.colour).sequence.crosstalk == scene.colour.crosstalk
+    apart = replace(scene, colour=replace(scene.colour, unmix=False))
+    assert apart.sequence.crosstalk == identity
+    # Channels of one band do not mix.
+    assert scene.in_band("red").sequence.crosstalk == identity
+    shifted = scene.with_changed_patterns("1,16@4,4+rgb", None, None)
+    assert replace(shifted, colour=Colour(PRIMARIES)).sequence.crosstalk == PRIMARIES
+
+
+@pytest.mark.parametrize(
+    "patterns",
+    [
+        {"sequence": "16@3"},
+        {"parts": [{"kind": "fringes", "count": 16, "shifts": 3, "axis": "u"}]},
+    ],
+)
+def test_channels_that_are_stated_not_to_mix_are_left_alone(patterns, tmp_path):
+    identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    stated = patterns | {"crosstalk": identity}
+    # Whole, since a scene that it extends has patterns in words.
+    changed = {"patterns": stated, "colour": {"response": RESPONSE}}
+    content = load_scene("plane").specification | changed
+    (tmp_path / "whole.toml").write_text(tomli_w.dumps(content))
+    scene = load_scene(tmp_path / "whole.toml")
+    assert scene.sequence.crosstalk == identity
+    assert replace(scene, colour=Colour(PRIMARIES)).sequence.crosstalk == identity
+    stated = PatternSequence(
+        scene.sequence.panel, scene.sequence.parts, crosstalk=identity, assumed=None
+    )
+    assert scene.with_patterns(stated).sequence.crosstalk == identity
 
 
 def test_pictures_of_two_channels_are_refused_in_a_scene_of_three(tmp_path):
