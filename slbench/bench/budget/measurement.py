@@ -60,8 +60,9 @@ class Measurement:
     Raises
     ------
     InputError
-        For a scene with focus settings or a calibration model, a quantity that is not one of a
-        feature of the scene, and an offset, which is in mm, of what is not.
+        For a scene with focus settings, a calibration model, a mosaic or frames packed in pictures
+        in colour, a quantity that is not one of a feature of the scene, and an offset, which is in
+        mm, of what is not.
     """
 
     def __init__(
@@ -77,6 +78,13 @@ class Measurement:
             raise InputError(f"{where}: focus", "none: draws are of single pictures", "settings")
         if scene.calibration is not None and scene.calibration.model is not None:
             raise InputError(f"{where}: calibration", "a rig to measure with", "a model")
+        if scene.colour is not None:
+            if scene.colour.bayer is not None:
+                expected = "no mosaic: draws are of single pixels"
+                raise InputError(f"{where}: colour", expected, f"bayer = {scene.colour.bayer}")
+            if scene.sequence.channels > 1:
+                expected = "grey patterns in colour: draws are of one sensor"
+                raise InputError(f"{where}: patterns", expected, "several frames a picture (+rgb)")
         scene.sequence.runs()
         with located(where):
             check_frame_errors(scene)

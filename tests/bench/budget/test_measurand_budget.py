@@ -24,6 +24,7 @@ from slbench.core.random import generator
 from slbench.rig.opencv import write_rig
 from slbench.rig.parameters import ParameterCovariance, moved
 from slbench.scene.calibration import Calibration
+from slbench.scene.colour import Colour
 from slbench.scene.frame_errors import Drift, Trigger
 from slbench.simulate.lights import Lights
 
@@ -411,10 +412,16 @@ class TestInput:
             (("--inputs", "b.toml"), ("--measurand beside it",)),
             (("--measurand", STEP, "--repeats", 4), ("--draws",)),
             (("--measurand", STEP, "--set", "focus.settings=3"), ("focus",)),
+            (("--measurand", STEP, "--set", "colour.bayer=RGGB"), ("colour", "bayer = RGGB")),
         ],
     )
     def test_questions_that_make_no_sense(self, tmp_path, options, words):
         check_refused(run_cli("budget", write_scene(tmp_path), *options), *words)
+
+    def test_frames_packed_in_pictures_in_colour(self, scene, lights):
+        packed = replace(scene, colour=Colour()).with_patterns("1,16@3+rgb")
+        with pytest.raises(InputError, match=r"patterns: expected grey .*\(\+rgb\)"):
+            uncertainty_budget(packed, [STEP], lights=lights)
 
     def test_a_scene_states_it_itself(self, tmp_path, lights):
         own = sl.load_scene(write_scene(tmp_path, budget=self.one()))
