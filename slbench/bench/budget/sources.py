@@ -23,7 +23,7 @@ from slbench.patterns import PatternSource
 from slbench.rig import Camera, Projector
 from slbench.scene.model import Exposure, Light, Scene
 from slbench.scene.truth import GroundTruth
-from slbench.simulate.expose import lighting, shutter_for
+from slbench.simulate.expose import NothingLit, lighting, shutter_for
 from slbench.simulate.lights import Lights
 from slbench.simulate.transport import LightTransport, Marginal
 
@@ -164,9 +164,12 @@ def metered(scene: Scene, transport: LightTransport) -> tuple[Scene, float]:
         shutter = shutter_for(transport, camera, scene.detector, exposure)
     if exposure.time_s is None:
         return scene, shutter.time_s
-    white = transport.white().astype(np.float64)
-    full = scene.detector.exposure_scale(white[white > transport.ambient], 1.0)
-    level = min(shutter.photons / full, 1.0)
+    seen = [(white.astype(np.float64), white > dark) for white, dark in transport.whites()]
+    # The brightest channel decides, as in an automatic exposure.
+    full = [scene.detector.exposure_scale(one[lit], 1.0) for one, lit in seen if lit.any()]
+    if not full:
+        raise NothingLit("scene", "an object that the projector lights", "none")
+    level = min(shutter.photons / min(full), 1.0)
     return replace(scene, exposure=replace(exposure, time_s=None, white_level=level)), (
         shutter.time_s
     )

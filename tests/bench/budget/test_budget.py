@@ -16,6 +16,7 @@ from slbench.bench.budget.sources import ideal, metered, sources_of
 from slbench.core.errors import InputWarning
 from slbench.core.io import read_json
 from slbench.detector.base import DetectorModel
+from slbench.scene.colour import Colour
 from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
 from slbench.simulate.expose import shutter_for
 from slbench.simulate.stack import traced
@@ -251,6 +252,16 @@ class TestExposure:
         assert even.exposure.white_level == pytest.approx(0.5 * scene.exposure.white_level)
         assert time_s == pytest.approx(0.5 * shutter.time_s)
         assert metered(scene, light) == (scene, shutter.time_s)
+
+    def test_in_colour_it_is_that_of_the_brightest_channel(self, scene):
+        # Red sees twice the light of green, by which grey patterns are decoded.
+        brighter = ((2.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+        coloured = replace(scene, colour=Colour(response=brighter))
+        (light,) = traced(coloured)
+        shutter = shutter_for(light, coloured.rig.camera, coloured.detector, coloured.exposure)
+        timed = replace(coloured, exposure=replace(coloured.exposure, time_s=shutter.time_s))
+        even, _ = metered(timed, light)
+        assert even.exposure.white_level == pytest.approx(coloured.exposure.white_level)
 
     def test_a_budget_of_it(self, scene):
         (light,) = traced(scene)
