@@ -1,9 +1,10 @@
 """Pattern sets to compare: read, checked, and given equal frames or equal light.
 
-*Equal frames.*  Every set with fringes gets as many frames as the longest set has.  Extra frames
-become further phase shifts of the last fringe set, which alone decides the noise of a coordinate
-whose fringe order is right: it falls with the root of that set's shifts, and with nothing else
-(:mod:`slbench.patterns.phase`).  The sets before it only have to find the order.
+*Equal frames.*  Every set with fringes gets as many frames as the longest set has; frames that are
+channels of one picture count once.  Extra frames become further phase shifts of the last fringe
+set, which alone decides the noise of a coordinate whose fringe order is right: it falls with the
+root of that set's shifts, and with nothing else (:mod:`slbench.patterns.phase`).  The sets before
+it only have to find the order.
 
 *Equal photons.*  Every set has the total exposure of the shortest one: a set with k times its
 frames exposes each for 1/k of the time.  The light falls, read noise and rounding stay.
@@ -80,6 +81,11 @@ class PatternSet:
     def frames(self) -> int:
         """Frames of one scan."""
         return self.sequence.n_frames
+
+    @property
+    def exposures(self) -> int:
+        """Pictures of one scan, the channels of one counted once."""
+        return -(-self.frames // self.sequence.channels)
 
     def of(self, scene: Scene) -> Scene:
         """Return the scene with these patterns and this exposure."""
@@ -174,11 +180,11 @@ def pattern_sets(
         if [other.name for other in sets].count(one.name) > 1:
             raise InputError("sets", "every set once", f"{one.name} twice")
     if equal == "frames":
-        longest = max(one.frames for one in sets)
+        longest = max(one.exposures for one in sets)
         sets = [with_frames(one, longest) for one in sets]
     elif equal == "photons":
-        shortest = min(one.frames for one in sets)
-        sets = [replace(one, exposure_share=shortest / one.frames) for one in sets]
+        shortest = min(one.exposures for one in sets)
+        sets = [replace(one, exposure_share=shortest / one.exposures) for one in sets]
     for one in sets:
         with located(f"set {one.name}"):
             check_frame_errors(one.of(scene))
@@ -241,16 +247,16 @@ def _check(one: PatternSet, scene: Scene) -> None:
 
 
 def with_frames(given: PatternSet, frames: int) -> PatternSet:
-    """Return a set with further shifts of its finest fringe set, `frames` in all.
+    """Return a set with further shifts of its finest fringe set, `frames` exposures in all.
 
     With two coded axes the further shifts are shared between their finest sets, the first axis
     taking the odd one.  A set without fringes keeps its frames, and its note says so.
     """
-    sequence, missing = given.sequence, frames - given.frames
+    sequence, missing = given.sequence, frames - given.exposures
     if missing <= 0:
         return given
     if sequence.crosstalk is not None:
-        return replace(given, note=f"keeps its {given.frames} frames: they fill colour pictures")
+        return replace(given, note=f"keeps its {given.exposures} colour pictures")
     last = {axis: placed for axis in sequence.axes if (placed := sequence.finest(axis))}
     if not last:
         return replace(given, note=f"keeps its {given.frames} frames: no fringes to shift further")

@@ -209,6 +209,16 @@ def test_equal_frames_and_photons_of_sets_of_every_form(folder, scene):
     assert [one.exposure_share * one.frames for one in photons] == pytest.approx([6, 6, 6])
 
 
+def test_channels_of_one_picture_are_one_exposure(scene):
+    given = ["1,16@3+rgb", "1,16@3", "1,16@4+rgb"]  # two pictures, six and three
+    photons = pattern_sets(given, scene, equal="photons")
+    assert [one.exposure_share for one in photons] == pytest.approx([1.0, 2 / 6, 2 / 3])
+    frames = pattern_sets([given[0], "1@3"], scene, equal="frames")
+    assert [one.frames for one in frames] == [6, 3]
+    frames = pattern_sets([given[0], "1,16@4"], scene, equal="frames")
+    assert frames[0].note == "keeps its 2 colour pictures"
+
+
 def test_the_command_takes_them(folder):
     (folder / "scene.toml").write_text(tomli_w.dumps(SMALL_FILE | {"name": "tiny"}))
     command = ["compare", "scene.toml", "--repeats", 2, "--out", "out", "--json"]
