@@ -120,6 +120,17 @@ class ColourPictures:
         chosen = np.moveaxis(self.values[..., list(self.channels)], -1, 1)
         return np.ascontiguousarray(chosen).reshape(-1, *self.values.shape[1:3])
 
+    def holds(self, frames: NDArray[Any]) -> bool:
+        """Tell whether frames (N, V, U) are those that are decoded, value by value."""
+        count, channels = len(self.values), self.channels
+        if frames.shape != (count * len(channels), *self.values.shape[1:3]):
+            return False
+        return frames.dtype == self.values.dtype and all(
+            np.array_equal(frames[k * len(channels) + i], picture[..., channel])
+            for k, picture in enumerate(self.values)
+            for i, channel in enumerate(channels)
+        )
+
     def write(self, folder: Path) -> list[str]:
         """Write ``frames/000.png`` and so on to a folder; return what a manifest calls the frames.
 
@@ -163,7 +174,8 @@ class Capture(Value):
         Of the projector, which decoding takes out; None for one that is linear, or pictures that
         undo it.
     pictures : ColourPictures or None
-        Of a simulated camera in colour; they are saved in the frames' place.
+        Of a simulated camera in colour; they are saved in the frames' place.  Dropped where the
+        frames are not their channels: frames that were processed are saved themselves.
     """
 
     frames: NDArray[Any]
@@ -206,6 +218,8 @@ class Capture(Value):
             if self.rig.only != self.pair:
                 raise InputError("rig", f"devices {self.pair}", self.rig.only)
             _check_sizes(self.rig, frames.shape, self.sequence.panel)
+        if self.pictures is not None and not self.pictures.holds(frames):
+            object.__setattr__(self, "pictures", None)
 
     def __repr__(self) -> str:
         count, rows, columns = self.frames.shape

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.colour import BANDS
 from slbench.core.errors import InputError
 from slbench.core.io import read_npz, write_npz
+from slbench.core.random import tagged_seed
 from slbench.detector import DetectorModel
 from slbench.patterns import NoiseModel
 from slbench.scene.colour import Colour
@@ -232,7 +233,8 @@ def chips(detector: DetectorModel) -> tuple[DetectorModel, ...]:
     if not isinstance(seed, int):
         return (detector,) * len(BANDS)
     other: Any = detector
-    return tuple(replace(other, seed=seed + k) for k in (1, 0, 2))
+    red, blue = (replace(other, seed=tagged_seed(seed, k)) for k in (0, 2))
+    return red, detector, blue
 
 
 def exposed(

@@ -185,8 +185,9 @@ def make_twin(
     report = on_progress or (lambda stage, fraction: None)
     if capture.rig is None:
         raise InputError("twin", "a capture with its rig (--rig)", "none")
-    if capture.sequence.crosstalk is not None or capture.pictures is not None:
-        raise InputError("twin", "grey frames", "colour pictures (crosstalk)")
+    for one in (capture, *held_out):
+        if one.sequence.crosstalk is not None or one.pictures is not None:
+            raise InputError("twin", "grey frames", "colour pictures (crosstalk)")
     if not objects:
         raise InputError("twin: objects", "at least one", "none")
     artefacts = [one.artefact() for one in objects]
@@ -267,7 +268,8 @@ def _joined(capture: Capture, others: Sequence[Capture]) -> Capture:
         parts += other.sequence.parts
         frames.append(other.frames)
     sequence = replace(capture.sequence, parts=tuple(parts))
-    return replace(capture, frames=np.concatenate(frames), sequence=sequence)
+    joined = np.concatenate(frames)
+    return replace(capture, frames=joined, sequence=sequence, pictures=None)
 
 
 def _held_out(capture: Capture, count: int) -> Mask:

@@ -14,13 +14,14 @@ from slbench.capture.focus import Focus
 from slbench.core.colour import BANDS, decode_srgb
 from slbench.core.errors import InputError
 from slbench.core.io import read_colour
+from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
 from slbench.scene.bsdfs import Diffuse
 from slbench.scene.colour import Colour
 from slbench.scene.materials import Material
 from slbench.scene.model import Light
 from slbench.scene.textures import Tint
-from slbench.simulate.colour import ColourTransport, demosaiced, exposed
+from slbench.simulate.colour import ColourTransport, chips, demosaiced, exposed
 from slbench.simulate.expose import capture, radiance_batches, shutter_for
 from slbench.simulate.lights import Lights
 from slbench.simulate.scan import scan
@@ -278,6 +279,26 @@ def test_a_capture_in_colour_is_saved_as_pictures_in_colour(tmp_path):
         assert back.sequence == scene.sequence
 
 
+@pytest.mark.parametrize("patterns", ["1,16@3", "1,16@3+rgb"])
+def test_frames_that_were_processed_are_saved_and_not_their_pictures(patterns, tmp_path):
+    scene = coloured(patterns, response=RESPONSE)
+    (shots,) = capture_stack(scene, light(scene), seed=1).captures
+    assert replace(shots, exposure_s=1.0).pictures is shots.pictures
+    halved = replace(shots, frames=shots.frames // 2)
+    assert halved.pictures is None
+    halved.save(tmp_path / "halved")
+    np.testing.assert_array_equal(Capture.load(tmp_path / "halved").frames, shots.frames // 2)
+    cut = replace(shots, frames=np.ascontiguousarray(shots.frames[:, ::2]), rig=None)
+    assert cut.pictures is None
+
+
+def test_fixed_patterns_of_three_sensors_are_of_no_other_detector():
+    one, other = (chips(Detector(seed=seed)) for seed in (0, 1))
+    seeds = [chip.seed for chip in (*one, *other)]
+    assert len(set(seeds)) == 6
+    assert (one[1].seed, other[1].seed) == (0, 1)
+
+
 def test_vibration_moves_the_channels_of_a_picture_together():
     scene = coloured("white", albedo=None)
     shaken = replace(scene, exposure=replace(scene.exposure, vibration_px=2.0))
@@ -432,3 +453,6 @@ def test_what_has_one_band_refuses_scenes_in_colour(tmp_path):
     (shots,) = capture_stack(scene, light(scene), seed=1).captures
     with pytest.raises(InputError, match="grey frames"):
         make_twin(shots, [TwinObject(shape="plane")])
+    grey = replace(shots, pictures=None)
+    with pytest.raises(InputError, match="grey frames"):
+        make_twin(grey, [TwinObject(shape="plane")], held_out=[shots])
