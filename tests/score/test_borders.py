@@ -8,7 +8,7 @@ from slbench.cloud import MeasuredCloud
 from slbench.core.io import read_json
 from slbench.objects import load_artefact
 from slbench.score.clouds.against_part import score_against_part
-from slbench.score.clouds.borders import inner_points, surrounded
+from slbench.score.clouds.borders import _spacing, inner_points, surrounded
 from slbench.simulate.folder import write_scan
 from slbench.simulate.scan import scan
 
@@ -47,6 +47,39 @@ def test_single_missing_points_are_no_edge():
     held = flat[rng.random(len(flat)) > 0.05]
     inside = (np.abs(held) < 17.0).all(axis=1)
     assert np.mean(surrounded(held)[inside]) > 0.995
+
+
+@pytest.mark.parametrize("ratio", [2, 3, 4])
+@pytest.mark.parametrize("regular", [True, False])
+def test_views_that_overlap_leave_no_edge_where_they_end(ratio, regular):
+    """One half is denser: both are kept, and where they meet; ends of both are not."""
+    rng = np.random.default_rng(4)
+    spacing = 0.3 * np.sqrt(1.3)
+    coarse = spacing * np.sqrt(ratio)
+    if regular:
+        halves = [lattice(0.3, rng), lattice(0.3 * np.sqrt(ratio), rng, turn=1.0)]
+    else:
+        count = int((80.0 / spacing) ** 2)
+        halves = [rng.uniform(-40.0, 40.0, (n, 2)) for n in (count, count // ratio)]
+    halves = [one[(np.abs(one) < 20.0).all(axis=1)] for one in halves]
+    dense, sparse = halves[0][halves[0][:, 0] < 0.0], halves[1][halves[1][:, 0] >= 0.0]
+    flat = np.concatenate((dense, sparse))
+    fine, away = surrounded(flat), 20.0 - np.abs(flat).max(axis=1)
+    # As of one density, in spacings of the sparse half.
+    inside, side = away > 3.5 * coarse, flat[:, 0] < 0.0
+    for part in (side, ~side, np.abs(flat[:, 0]) < 3.0 * coarse):
+        assert np.mean(fine[inside & part]) > 0.99
+    assert np.mean(fine[away < spacing]) < 0.05
+
+
+@pytest.mark.parametrize("side", [8, 12, 20, 60])
+def test_windows_of_a_small_face_are_no_wider(side):
+    """Edges have fewer neighbours, and are no sparse part: the spacing of few points is theirs."""
+    steps = np.arange(side, dtype=float)
+    flat = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    # Twelve neighbours of a square grid are two spacings far, by a disc of 12.5 points: 1.002; of
+    # eight by eight points a fourth has all of them.
+    assert _spacing(flat) == pytest.approx(1.0, rel=0.1)
 
 
 def test_a_wall_all_around_has_no_edge_where_its_angle_starts_again():

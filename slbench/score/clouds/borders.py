@@ -32,6 +32,9 @@ _HALF, _OFF = 4, 0.25
 _FULL = 0.35
 #: Neighbours by which spacings are told, of so many points at most, out of so many.
 _NEIGHBOURS, _ASKED, _OF = 12, 2000, 100_000
+#: Share of the area that is not sparser than the spacing that windows are by, how much wider than
+#: the usual one it is where density differs, and at most.
+_SPARSE, _UNEVEN, _SPARSEST = 0.9, 1.25, 3.0
 #: Cells of the window's grid for each point at most.
 _CELLS = 64
 #: How much of a region's extent beyond it its points' neighbours are looked for.
@@ -127,6 +130,8 @@ def _around(surface: SurfaceFeature, points: Array) -> Chosen:
 def surrounded(flat: Array, turn: float | None = None) -> NDArray[np.bool_]:
     """Return a mask of places that have others on all sides, two spacings far.
 
+    Spacings are those of the sparse part where density differs, by up to a factor of nine.
+
     Parameters
     ----------
     flat : (N, 2) float
@@ -159,25 +164,39 @@ def surrounded(flat: Array, turn: float | None = None) -> NDArray[np.bool_]:
     def gathered(values: Array | None) -> Array:
         return np.bincount(index, values, shape[0] * shape[1]).astype(np.float64).reshape(shape)
 
+    # Cells that hold points weigh the same, however many: views lie over each other in places.
     count = gathered(None)
-    number = np.maximum(windows(count, ones, ones).ravel()[index], 1.0)
+    full, many = (count > 0.0).astype(np.float64), np.maximum(count, 1.0)
+    number = np.maximum(windows(full, ones, ones).ravel()[index], 1.0)
     off = np.zeros(len(flat))
     for axis, weights in enumerate(((ramp, ones), (ones, ramp))):
         within = gathered(place[:, axis] - (column, row)[axis] - 0.5)
-        moment = (windows(count, *weights) + windows(within, ones, ones)).ravel()[index]
+        moment = (windows(full, *weights) + windows(within / many, ones, ones)).ravel()[index]
         off += (moment / number) ** 2
     limit = _OFF * (_HALF + 0.5)
     return (off <= limit**2) & (number >= _FULL * np.median(number))
 
 
 def _spacing(flat: Array) -> float:
-    """Return the usual spacing of places, as of a square grid of their density."""
+    """Return the usual spacing of places, as of a square grid of their density.
+
+    Where their density differs, as of views that overlap in places, it is that of the sparse part.
+    """
     from scipy.spatial import cKDTree
 
     some = flat[:: max(1, len(flat) // _OF)]
     count = min(_NEIGHBOURS, len(some) - 1)
     asked = some[:: max(1, len(some) // _ASKED)]
-    away = cKDTree(some).query(asked, count + 1)[0][:, -1]
+    tree, scale = cKDTree(some), np.sqrt(np.pi / (count + 0.5))
+    away, beside = tree.query(asked, count + 1)
     # Half of the furthest neighbour is within; at edges neighbours are further.
-    usual = float(np.quantile(away, 0.25)) * np.sqrt(np.pi / (count + 0.5))
+    usual = float(np.quantile(away[:, -1], 0.25)) * scale
+    # Those of neighbours, one of which is no edge.
+    ask, back = np.unique(beside, return_inverse=True)
+    around = tree.query(some[ask], count + 1)[0][:, -1][back.reshape(beside.shape)]
+    inner = np.sort(around.min(axis=1)) * scale
+    area = np.cumsum(inner**2)
+    sparse = float(inner[np.searchsorted(area, _SPARSE * area[-1])])
+    if sparse > _UNEVEN * usual:
+        usual = min(sparse, _SPARSEST * usual)
     return usual * float(np.sqrt(len(some) / len(flat)))
