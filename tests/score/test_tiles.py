@@ -66,3 +66,12 @@ def test_tiles_of_few_points_count_little():
     assert effective_tiles(np.repeat(np.arange(6), 30)) == pytest.approx(6.0)
     # Five tiles of 1000 points and one of one: (5001)^2 / (5e6 + 1).
     assert effective_tiles(np.append(np.repeat(np.arange(5), 1000), 9)) == pytest.approx(5.002)
+
+
+def test_intervals_of_magnitudes_end_at_zero():
+    """One tile holds all of the error: bootstrap and stretching reach far below."""
+    tiles = np.repeat(np.arange(5), 100)
+    errors = np.where(tiles == 0, 1.0, 0.0)
+    found = score_intervals(tiles, np.abs(errors), errors)
+    assert found["rms_mm"][0] == found["rms_z_mm"][0] == 0.0
+    assert found["bias_z_mm"][0] < 0.0

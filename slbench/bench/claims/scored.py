@@ -27,6 +27,7 @@ from slbench.bench.statistics import Interval
 from slbench.core.errors import InputError, located
 from slbench.core.io import read_json
 from slbench.scene.model import Scene
+from slbench.score.clouds.cloudscore import SIGNED
 from slbench.score.clouds.tiles import CONFIDENCE, widening
 from slbench.score.points import Score
 from slbench.score.values import DimensionScore
@@ -87,11 +88,22 @@ def _read(folder: str | Path) -> dict[str, Any]:
 
 def _judged(claim: Claim, scene: Scene, scores: Sequence[dict[str, Any]], where: str) -> Result:
     rows = [values_of_score(one["score"], scene) for one in scores]
+    owners = {
+        f"{feature.kind}[{feature.label}]": feature.owner.partition("#")[0]
+        for feature, _ in scored_features(scores[0]["score"], scene)
+    }
+
+    def untold(name: str) -> bool:
+        """Tell whether no cloud has a number, and none could have by what it was held against."""
+        owner = owners.get(name.rpartition(".")[0])
+        return not any(np.isfinite(row[name]) for row in rows) and not any(
+            _tells(one.get("reference"), owner) for one in scores
+        )
 
     def values(quantity: str) -> Array:
         names = resolve(quantity, scene, where)
         for one, row in zip(scores, rows, strict=True):
-            missing = next((name for name in names if name not in row), None)
+            missing = next((name for name in names if name not in row or untold(name)), None)
             if missing is not None:
                 expected = f"a number that the scored cloud {one['folder']} has"
                 raise InputError(where, expected, missing)
@@ -116,6 +128,16 @@ def _judged(claim: Claim, scene: Scene, scores: Sequence[dict[str, Any]], where:
     else:
         verdict = _of_one(claim, names, scores[0], rows[0], certificates, where)
     return Result(claim, verdict, own, bounds, 0.0)
+
+
+def _tells(reference: Any, owner: str | None) -> bool:
+    """Tell whether a score against a reference may have a number, of an object's feature or none.
+
+    A scan's own score has no reference, and what is true of a scan tells all.
+    """
+    if not isinstance(reference, dict) or reference.get("kind") == "truth":
+        return True
+    return owner is not None and reference.get("name") == owner
 
 
 def _certificate(name: str, score: Score, scene: Scene) -> float:
@@ -177,7 +199,7 @@ def _interval(
         count = float(stored.get("interval_tiles", 1e9))
         wider = widening(count, confidence) / widening(count, CONFIDENCE)
         low, high = (value + wider * (float(end) - value) for end in known)
-        return Interval(value, low, high)
+        return Interval(value, low if name in SIGNED else max(low, 0.0), high)
     head, _, last = name.rpartition(".")
     match = _UNCERTAINTY.fullmatch(last)
     u = row.get(f"{head}.{match[1]}uncertainty_{match[2]}") if match and head else None

@@ -31,6 +31,8 @@ _OF_HEIGHT: dict[str, Any] = {
     "rms_z_mm": lambda z: float(np.sqrt(np.mean(z**2))),
     "mad_mm": lambda z: float(np.median(np.abs(z - np.median(z)))),
 }
+#: Of them those that may be negative.
+SIGNED = ("bias_z_mm",)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -289,4 +291,4 @@ def score_intervals(
 
     statistics = {name: of(distance, one) for name, one in _OF_DISTANCE.items()}
     statistics |= {name: of(height, one) for name, one in _OF_HEIGHT.items()}
-    return intervals(tiles, statistics)
+    return intervals(tiles, statistics, signed=SIGNED)

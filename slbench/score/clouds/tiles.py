@@ -11,7 +11,7 @@ such as a wrong scale, no interval of one cloud can hold.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,7 +56,10 @@ def widening(tiles: float, confidence: float) -> float:
 
 
 def intervals(
-    tiles: NDArray[np.intp], statistics: Mapping[str, Statistic]
+    tiles: NDArray[np.intp],
+    statistics: Mapping[str, Statistic],
+    *,
+    signed: Collection[str] = (),
 ) -> dict[str, tuple[float, float]]:
     """Return 95 % intervals of statistics of points.
 
@@ -68,6 +71,8 @@ def intervals(
         Of the points.
     statistics : mapping of str to callable
         Takes indices of points.
+    signed : collection of str
+        Statistics that may be negative; intervals of the others end at zero.
     """
     from scipy.special import ndtri
 
@@ -92,5 +97,5 @@ def intervals(
         whole = statistics[name](order)
         ends = np.quantile(values, (0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE))
         low, high = whole + wider * (ends - whole)
-        found[name] = (float(low), float(high))
+        found[name] = (float(low) if name in signed else max(float(low), 0.0), float(high))
     return found

@@ -130,6 +130,32 @@ def test_what_one_score_does_not_tell_is_refused(tmp_path, keys, words):
     assert words in str(caught.value)
 
 
+@pytest.mark.parametrize("quantity", ["smooth_rms_mm", "coverage_2u", "sphere[*].form_mm"])
+@pytest.mark.parametrize("count", [1, 2])
+def test_what_no_cloud_against_a_part_tells_is_refused(tmp_path, quantity, count):
+    """Numbers of a scan's truth, and features of another object than the part."""
+    folders = [tmp_path / name for name in "ab"[:count]]
+    for k, folder in enumerate(folders):
+        scored(folder, seed=k)
+    block = {"artefact": "step-block-5", "material": "matt-white-spray"}
+    ball = {"artefact": "sphere", "material": "matt-white-spray"}
+    write_scene(tmp_path, objects=[block, ball])
+    path = tmp_path / "some.claims.toml"
+    one = {"scene": "small.toml", "name": "one", "quantity": quantity, "max": 1.0}
+    path.write_text(tomli_w.dumps({"claim": [one]}))
+    with pytest.raises(InputError, match=r"a number that the scored cloud \S*a has"):
+        check_scored(path, folders)
+
+
+def test_a_feature_of_the_part_that_was_not_measured_fails(tmp_path):
+    scored(tmp_path / "a")
+    path = tmp_path / "a" / "score.json"
+    stored = json.loads(path.read_text())
+    path.write_text(json.dumps(stored | {"steps": []}))
+    (result,) = check_scored(claims_in(tmp_path, {"max": 1.0}), [tmp_path / "a"])
+    assert result.outcome == "fails"
+
+
 def test_a_folder_that_is_no_score_is_refused(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "score.json").write_text('{"kind": "other"}')
