@@ -308,6 +308,9 @@ def test_the_table_that_a_part_stands_on_is_left_out(block):
     result = sl.score_cloud(both, artefact=block)
     assert result.background == pytest.approx(np.count_nonzero(~under), rel=0.02)
     assert result.score.median_abs_mm == pytest.approx(0.6745 * NOISE, rel=0.1)
+    # The table is twice the part: its distances are no part of what is expected.
+    assert result.expected.median_mm == pytest.approx(NOISE, rel=0.1)
+    assert len(result.expected.mm) == len(result.points)
 
 
 @pytest.mark.parametrize("name", ["step-block-5", "brick", "spur-gear", "sphere"])

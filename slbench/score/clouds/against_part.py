@@ -7,8 +7,6 @@ surface; heights are along the part's z.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -107,8 +105,9 @@ def score_against_part(
     nearest, distance = near.point, near.distance
     if other.any():
         kept = ~other
-        expected = replace(expected, mm=expected.mm[kept])
         cloud, away = cloud.chosen(kept), away[kept]
+        # Of the part alone: of much background the usual distance is the background's.
+        expected = expected_deviations(cloud, away, surface.size_mm, expected_um)
         nearest, distance = nearest[kept], distance[kept]
     share = check_part(cloud, away, expected, part.name)
     on = np.isfinite(away)
