@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from slbench.core.errors import InputError
 from slbench.core.natural import natural
+from slbench.core.validation.types import Blur
 from slbench.patterns.base import Axis, Code, FloatArray, Panel, Variation
 from slbench.patterns.matching.code import MatchedCode
 
@@ -46,7 +47,7 @@ class Images(MatchedCode):
     pictures: NDArray[Any]
     coded: Literal["u", "v", "uv"] = "uv"
     files: str = "images_*.png"
-    blur_px: float = 0.0
+    blur_px: Blur = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -28,6 +28,7 @@ from slbench.core.validation.types import (
     FringeCount,
     FringeWidth,
     Interval,
+    LearningSeeds,
     LearningSteps,
     PanelWidth,
     PhaseDeviation,
@@ -162,7 +163,7 @@ def patterns(
     ] = "matching",
     steps: Annotated[LearningSteps, typer.Option(help="learn: steps of the descent.")] = 3000,
     seeds: Annotated[
-        int, typer.Option(min=1, max=100, help="learn: so many codes, of --seed and the next.")
+        LearningSeeds, typer.Option(help="learn: so many codes, of --seed and the next.")
     ] = 1,
     out: Annotated[
         Path | None, typer.Option(help="learn: folder to write.  [default: out/learned-patterns]")

@@ -51,6 +51,7 @@ __all__ = [
     "Gt",
     "Interval",
     "Le",
+    "LearningSeeds",
     "LearningSteps",
     "Length",
     "Lengths",
@@ -224,6 +225,8 @@ Micrometres = Annotated[float, FINITE, Interval(ge=0.0, le=1e6)]
 Step = Annotated[float, FINITE, Interval(ge=1e-3, le=1e6)]
 #: A standard deviation of a relative phase, rad.
 LearningSteps = Annotated[int, Interval(ge=10, le=100_000)]
+#: Codes that are learned from one seed and the next.
+LearningSeeds = Annotated[int, Interval(ge=1, le=100)]
 PhaseDeviation = Annotated[float, FINITE, Interval(ge=1e-6, le=10.0)]
 #: Least pixels of a fringe.
 FringeWidth = Annotated[float, FINITE, Interval(ge=3.0, le=65536.0)]

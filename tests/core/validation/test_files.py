@@ -138,7 +138,7 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
     *((artefacts.get(t["kind"]).parameters, t["parameters"]) for t in OBJECTS.values()),
 ]
 #: Models of which no file stands alone: parts of the above, or looked into by a parent.
-PARTS = {"MeshParameters", "ToothedParameters", "OfVertices"}
+PARTS = {"MeshParameters", "ToothedParameters", "OfVertices", "Tint"}
 
 
 def _reached(model: Any) -> Iterator[str]:
