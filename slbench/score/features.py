@@ -82,6 +82,7 @@ def fit_features(
     planes: dict[str, _Plane] = {}
     flat: dict[str, NDArray[np.intp]] = {}
     labels: dict[str, NDArray[np.integer]] = {}
+    before = 0
     for face in artefact.planes:
         over = points_over(artefact, face, local)
         if len(over) >= MIN_POINTS:
@@ -89,8 +90,9 @@ def fit_features(
             plane = planes[face.name] = _Plane.fit(face, local[over], own)
             flat[face.name] = over[plane.inliers]
             # Stripes are each face's own, image lines go on from face to face.
-            before = sum(len(one) for one in labels.values()) if inner.lines is None else 0
             labels[face.name] = own[plane.inliers] + before
+            if inner.lines is None:
+                before += int(own.max()) + 1
             found.append(planes[face.name].flatness(artefact.name))
     base = planes.get(REFERENCE)
     if base is not None:

@@ -76,6 +76,22 @@ def test_a_tilted_step_is_measured_over_the_middle_of_its_face():
     assert step.std_mm < 1e-10
 
 
+def test_points_that_are_left_out_join_no_points_of_other_faces():
+    """Points are each their own: what they say does not depend on outliers beside them."""
+    points, _ = block_points()
+    points[:, 2] += np.random.default_rng(0).normal(0, 0.01, len(points))
+    wrong = np.arange(7, len(points), 97)
+    with_outliers = points.copy()
+    with_outliers[wrong, 2] += 0.5  # fifty standard deviations, of which six count
+    many, few = (
+        named(fit_features(one, BLOCK, Pose(), level=True), "StepScore")
+        for one in (with_outliers, np.delete(points, wrong, axis=0))
+    )
+    for name, step in few.items():
+        assert many[name].measured_mm == pytest.approx(step.measured_mm, abs=1e-9)
+        assert many[name].uncertainty_mm == pytest.approx(step.uncertainty_mm, rel=1e-6)
+
+
 def test_standard_deviation_and_flatness_are_those_of_the_residuals():
     points, _ = block_points(0.25, 0.25)
     rng = np.random.default_rng(0)
