@@ -75,6 +75,11 @@ def inputs_of(
     ------
     InputError
         For an input that the covariance has too, and a gamma where the response is a curve.
+
+    Warns
+    -----
+    InputWarning
+        For frame errors that are new in every scan, which are not drawn.
     """
     known = covariance
     if known is None and scene.calibration is not None:
@@ -86,6 +91,9 @@ def inputs_of(
     shaken = scene.exposure.vibration_px
     if shaken > 0.0:
         found.append(of_stream(VIBRATION, f"normal, {shaken:g} px, each picture", "A"))
+    if undrawn := _random_frame_errors(scene):
+        advice = "new in every scan, and in no draw: the uncertainty is without what it leaves"
+        warn_user(f"budget: {' and '.join(undrawn)}", advice)
     if known is not None:
         found.append(of_calibration(known))
     usual = names.USUAL | {names.GAMMA: scene.rig.projector.gamma}
@@ -97,6 +105,17 @@ def inputs_of(
             raise InputError("budget: inputs", "a name that the scene's inputs have not", one.name)
     check_apart(further, known)
     return (*found, *further)
+
+
+def _random_frame_errors(scene: Scene) -> list[str]:
+    """Return the frame errors of a scene that are new in every scan, by their keys."""
+    planes, trigger = scene.exposure.bit_planes, scene.exposure.trigger
+    found = []
+    if trigger is not None and trigger.rate > 0.0:
+        found.append("exposure.trigger.rate")
+    if planes is not None and planes.free_running:
+        found.append("exposure.bit_planes.free_running")
+    return found
 
 
 @checked

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import re
+import warnings
 from dataclasses import replace
 
 import cv2
@@ -25,7 +26,7 @@ from slbench.rig.opencv import write_rig
 from slbench.rig.parameters import ParameterCovariance, moved
 from slbench.scene.calibration import Calibration
 from slbench.scene.colour import Colour
-from slbench.scene.frame_errors import Drift, Trigger
+from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
 from slbench.simulate.lights import Lights
 
 STEP = "step[5].measured_mm"
@@ -312,6 +313,28 @@ class TestCoverage:
     def test_in_95_of_100_cases(self, scene, lights):
         # 200 draws hold 94.5 % at the mean; of 400, three standard errors: 3.4 %.
         assert 364 <= whole_experiments(scene, lights, 400, 200) <= 392
+
+
+@pytest.mark.parametrize(
+    ("error", "key"),
+    [
+        ({"trigger": Trigger(rate=0.01)}, "exposure.trigger.rate"),
+        (
+            {"bit_planes": BitPlanes(periods=2.5, free_running=True)},
+            "exposure.bit_planes.free_running",
+        ),
+        ({"trigger": Trigger(lost=(3,)), "bit_planes": BitPlanes(periods=2.5)}, None),
+    ],
+)
+def test_frame_errors_that_no_draw_has_are_told(scene, error, key):
+    """New in every scan: a warning; the same in every scan: in all draws, and none."""
+    own = replace(scene, exposure=replace(scene.exposure, **error))
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        inputs_of(own, stated({}, "test"))
+    said = [str(one.message) for one in told]
+    assert [text.partition(": ")[2].partition(":")[0] for text in said] == ([key] if key else [])
+    assert all("in no draw" in text for text in said)
 
 
 def test_a_seed_gives_the_same_budget(scene, lights):
