@@ -122,6 +122,8 @@ def accept(
             "--set": changes,
             "--measured-with": measured_with,
             "--preview": preview,
+            "--seed": seed,
+            "--allow-modules": allow_modules,
         }
         for option, value in given.items():
             if value:

@@ -92,8 +92,9 @@ def score(
             expected_um=expected_um,
         )
     except InputError as error:
-        if error.where in ("placed", "align", "start", "unit"):
-            raise InputError(f"--{error.where}", error.expected, error.got) from None
+        if error.where in ("placed", "align", "start", "unit", "mesh_unit"):
+            option = f"--{error.where.replace('_', '-')}"
+            raise InputError(option, error.expected, error.got) from None
         raise
     write_cloud_score(result, target, picture=picture)
     if page is not None:

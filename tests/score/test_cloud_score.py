@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from datasets_small import result_of
-from scenes_small import small
+from scenes_small import check_refused, run_cli, small
 from scipy.spatial.transform import Rotation
 from worlds import in_another_world
 
@@ -337,6 +337,16 @@ def test_another_unit_is_noticed_and_named(block, tmp_path, factor, unit):
         sl.score_cloud(tmp_path / "a.npy", artefact=block, start=start)
     right = sl.score_cloud(tmp_path / "a.npy", artefact=block, unit=unit, start=TURN)
     assert right.score.median_abs_mm == pytest.approx(0.6745 * NOISE, rel=0.1)
+
+
+def test_options_that_say_nothing_are_refused(block, tmp_path):
+    cloud = cloud_of(block)
+    with pytest.raises(InputError, match=r"unit: expected none with a cloud .* mm, got m$"):
+        sl.score_cloud(cloud, artefact=block, unit="m")
+    path = tmp_path / "cloud.ply"
+    write_cloud(path, cloud)
+    words = ("score", path, "--artefact", "step-block-20", "--mesh-unit", "inch")
+    check_refused(run_cli(*words), "--mesh-unit: expected none without a mesh file", "inch")
 
 
 def test_exactly_one_reference_is_wanted(block):

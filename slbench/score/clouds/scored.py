@@ -56,7 +56,7 @@ def score_cloud(
     mesh : path, optional
         A mesh file, aligned by registration.
     unit : {"um", "mm", "cm", "inch", "m"}, optional
-        Of the cloud's lengths; see :func:`slbench.read_cloud`.
+        Of the lengths of a cloud's file; see :func:`slbench.read_cloud`.
     mesh_unit : {"um", "mm", "cm", "inch", "m"}
         Of the mesh file.
     placed : bool
@@ -75,8 +75,9 @@ def score_cloud(
     Raises
     ------
     InputError
-        For no reference or several, files that cannot be used, and a cloud of another part: one of
-        which fewer than 70 % of the points lie within three expected deviations
+        For no reference or several, options that say nothing here, files that cannot be used, and
+        a cloud of another part: one of which fewer than 70 % of the points lie within three
+        expected deviations
         (:mod:`slbench.score.clouds.expected`).
 
     Warns
@@ -96,6 +97,10 @@ def score_cloud(
         raise InputError("align", "none with artefact or mesh, to which clouds are aligned", align)
     if start is not None and (placed or (truth is not None and not align)):
         raise InputError("start", "none where nothing is aligned", start)
+    if mesh is None and mesh_unit != "mm":
+        raise InputError("mesh_unit", "none without a mesh file, whose unit it is", mesh_unit)
+    if unit is not None and isinstance(measured, MeasuredCloud):
+        raise InputError("unit", "none with a cloud that was read, which is in mm", unit)
     parameters = {
         "measured": str(measured.source if isinstance(measured, MeasuredCloud) else measured),
         **{name: str(getattr(given[name], "name", given[name])) for name in named},

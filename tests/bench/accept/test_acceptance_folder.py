@@ -443,6 +443,8 @@ def test_options_of_scenes_are_refused_with_folders(tmp_path):
     folder = write(tmp_path / "real", {})
     for option in (["--preview"], ["--views", "2"], ["--standard", "sphere"], ["--spp", "4"]):
         check_refused(run_cli("accept", folder, *option), option[0])
+    for option in (["--seed", "5"], ["--allow-modules"]):
+        check_refused(run_cli("accept", folder, *option), option[0], "folder")
     check_refused(run_cli("accept", folder, "--mpe-um", "length"), "--mpe-um", "TEST=LIMIT")
     check_refused(run_cli("accept", "plane", "--standard", "spere"), "--standard", "sphere")
     other = tmp_path / "o.toml"
