@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import tomli_w
 from scenes_small import check_refused, run_cli, write_scene
+from scipy.spatial.transform import Rotation
 
 import slbench as sl
 from slbench.bench.budget.budget import error_budget
@@ -15,6 +16,7 @@ from slbench.core.errors import InputError, InputWarning
 from slbench.core.io import read_json, read_ply
 from slbench.rig.opencv import read_rig, write_rig
 from slbench.rig.parameters import ParameterCovariance, moved
+from slbench.simulate.folder import write_scan
 
 #: A turn of the projector that moves the step block by some 0.1 mm.
 TURN = {"projector.ry_rad": 1e-4}
@@ -43,11 +45,12 @@ def folder(tmp_path_factory):
     return folder
 
 
-def model_of(rig, noise_px=0.0):
+def model_of(rig, noise_px=0.0, to=None):
     rng = np.random.default_rng(0)
     world = rng.uniform(-0.5, 0.5, (800, 3)) * (40.0, 40.0, 14.0) + (0.0, 0.0, 1.0)
     pixels = np.column_stack((rig.camera.project(world), rig.projector.project(world)))
     pixels += noise_px * rng.normal(size=pixels.shape)
+    world = world if to is None else to.to_world(world)
     return sl.select_models(sl.CalibrationPoints(pixels, world)).model
 
 
@@ -170,6 +173,20 @@ class TestModels:
         found = scan_of(folder, measured_with=folder / "model.json")
         assert found.score.completeness == pytest.approx(plain.score.completeness, abs=0.01)
         assert found.score.median_abs_mm == pytest.approx(plain.score.median_abs_mm, rel=0.1)
+
+    def test_one_in_another_world_is_scored_from_its_folder_as_by_itself(self, folder):
+        """The rig beside a model is the true one: what aligned the model's points is not its."""
+        turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
+        model_of(
+            sl.load_scene(folder / "small.toml").rig, to=sl.Pose(turn, np.array([30.0, 5.0, -80.0]))
+        ).save(folder / "moved.json")
+        made = scan_of(folder, measured_with=folder / "moved.json", align=True)
+        write_scan(made, folder / "by-model", picture=False)
+        found = sl.score_cloud(folder / "by-model", truth=folder / "by-model").score
+        # Single precision at some 500 mm from the camera.
+        assert found.median_abs_mm == pytest.approx(made.score.median_abs_mm, abs=2e-4)
+        # Points at edges are far off, and a model's points are not quite on the pixels' rays.
+        assert found.rms_mm == pytest.approx(made.score.rms_mm, rel=1e-2)
 
     def test_also_in_a_preview(self, folder):
         scene = sl.load_scene(folder / "small.toml", measured_with=folder / "model.json")

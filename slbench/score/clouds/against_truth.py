@@ -146,17 +146,12 @@ def _by_model(content: Any) -> bool:
 
 def _moved(rig: Rig, motion: Pose) -> Rig:
     """Return a rig whose devices stand where a motion takes them."""
-    return rig.having(
-        **{
-            name: replace(
-                device,
-                pose=Pose(
-                    motion.rotation @ device.pose.rotation, motion.to_world(device.pose.position)
-                ),
-            )
-            for name, device in rig.devices.items()
-        }
-    )
+
+    def moved(own: Pose) -> Pose:
+        return Pose(motion.rotation @ own.rotation, motion.to_world(own.position))
+
+    devices = {name: device.posed(moved(device.pose)) for name, device in rig.devices.items()}
+    return rig.having(**devices)
 
 
 def _axes(patterns: Any) -> tuple[Axis, ...]:
