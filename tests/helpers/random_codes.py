@@ -67,7 +67,9 @@ def pictures() -> st.SearchStrategy[Any]:
 def fields_of(family: type[Code]) -> dict[str, st.SearchStrategy[Any]]:
     """Return strategies for the fields of a family."""
     if family is Images:
-        return {"pictures": pictures(), "coded": st.sampled_from(["u", "v", "uv"])}
+        blurs = st.sampled_from([0.0, 0.75, 1.25])
+        coded = st.sampled_from(["u", "v", "uv"])
+        return {"pictures": pictures(), "coded": coded, "blur_px": blurs}
     return {name: values_of(hint) for name, hint in family.fields_of().items()}
 
 

@@ -128,7 +128,7 @@ SCAN = {
     "binary file": (lambda f: write(f, "scene.toml", b"\x00\xff\x80"), [], "a TOML file"),
     "no such base": (lambda f: scene(f, extends="hardware/none"), [], "extends"),
     "missing key": (lambda f: scene(f, name=None), [], "scene.toml: name: expected a name"),
-    "unknown key": (lambda f: scene(f, colour="red"), [], "'colour'"),
+    "unknown key": (lambda f: scene(f, flavour="red"), [], "'flavour'"),
     "wrong unit": (lambda f: scene(f, camera__pitch_mm=0.03), [], "did you mean 'pitch_um'?"),
     "half a rig": (lambda f: scene(f, rig__file="rig.yaml"), [], "rig"),
     "device that faces away": (lambda f: scene(f, extends=None, **AWAY), [], "rig.camera"),
