@@ -443,3 +443,13 @@ def test_pictures_that_there_are_not_are_refused():
         shots(Exposure(trigger=Trigger(lost=(8,))))
     with pytest.raises(InputError, match=r"drift\.change.*picture 7"):
         shots(Exposure(drift=Drift(change=-0.9, pictures=6.0)))
+
+
+def test_stated_losses_are_a_row_of_their_own_beside_those_by_chance():
+    """A spread alone would leave out what they shift."""
+    trigger = Trigger(lost=(2,), rate=0.02)
+    scene = replace(load_scene("plane", preview=True), exposure=Exposure(trigger=trigger))
+    found = {one.name: one for one in sources_of(scene, 0.01, 4) if isinstance(one, Source)}
+    chance, stated = found["lost triggers"], found["lost triggers that are stated"]
+    assert (chance.kind, chance.scene.exposure.trigger) == ("random", Trigger(rate=0.02))
+    assert (stated.kind, stated.scene.exposure.trigger) == ("steady", Trigger(lost=(2,)))

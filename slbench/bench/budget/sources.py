@@ -284,9 +284,12 @@ def _frame_errors(
             yield Source(name, "steady", _exposed(coarse, bit_planes=planes), beyond=rounding)
     if trigger is not None:
         if trigger.rate > 0.0:
-            yield Source("lost triggers", "random", _exposed(lit, trigger=trigger), repeats)
-        else:
-            yield Source("lost triggers", "steady", _exposed(base, trigger=trigger))
+            by_chance = _exposed(lit, trigger=replace(trigger, lost=()))
+            yield Source("lost triggers", "random", by_chance, repeats)
+        if trigger.lost:
+            name = "lost triggers" if trigger.rate == 0.0 else "lost triggers that are stated"
+            stated = _exposed(base, trigger=replace(trigger, rate=0.0))
+            yield Source(name, "steady", stated)
     if drift is not None:
         yield Source("brightness drift", "steady", _exposed(base, drift=drift))
 
