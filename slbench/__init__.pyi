@@ -71,7 +71,7 @@ from .rig import Rig as Rig
 from .rig.opencv import read_rig as read_rig
 from .rig.opencv import write_rig as write_rig
 from .scene.file import load_scene as load_scene
-from .scene.materials import Material as Material
+from .scene.surfaces.materials import Material as Material
 from .scene.model import Scene as Scene
 from .scene.model import SceneObject as SceneObject
 from .scene.truth import GroundTruth as GroundTruth

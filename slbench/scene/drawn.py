@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.random import derived_seed
 from slbench.core.validation.types import Count, Fraction, Interval, MaxLen, MinLen, Seed, Share
-from slbench.scene.textures import Texture
+from slbench.scene.surfaces.textures import Texture
 
 #: Texels along a side of a tile that is not exact with few.
 _SIDE = 1024

@@ -41,7 +41,6 @@ from slbench.rig import VOLUME_MM, Camera, DesignVariables, Pose, Projector, Rig
 from slbench.rig.files.entries import rig_entries
 from slbench.rig.opencv import rig_of
 from slbench.rig.optics.response import Response
-from slbench.scene.bsdfs import DEFAULT as DEFAULT_BSDF
 from slbench.scene.calibration import Calibration, read_calibration
 from slbench.scene.changes import (
     Change,
@@ -53,8 +52,9 @@ from slbench.scene.changes import (
 )
 from slbench.scene.devices.detector import read_detector
 from slbench.scene.doubts import scene_doubts
-from slbench.scene.materials import PRESETS, Material, own_materials
 from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject, place_of
+from slbench.scene.surfaces.bsdfs import DEFAULT as DEFAULT_BSDF
+from slbench.scene.surfaces.materials import PRESETS, Material, own_materials
 from slbench.scene.tables import SceneOfFile, SceneTables, tables_of
 
 #: Width of a preview where the scene states no divisor, px.

@@ -39,7 +39,7 @@ from slbench.scene.calibration import Calibration, calibration_of
 from slbench.scene.colour import Colour
 from slbench.scene.environment import Environment, Radiance
 from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
-from slbench.scene.materials import Material
+from slbench.scene.surfaces.materials import Material
 
 #: What is projected on a scene that states no patterns.
 USUAL_PATTERNS = "1,10,50"
@@ -56,8 +56,8 @@ class SceneObject(Value):
     material : Material
         Of all parts that `materials` does not name.
     materials : mapping of str to Material
-        By part of the artefact; :func:`slbench.scene.materials.own_materials` are those of its
-        mesh file.
+        By part of the artefact; those of its mesh file are
+        :func:`slbench.scene.surfaces.materials.own_materials`.
     distractor : bool
         Whether it is not of interest: data sets annotate the others.
     """

@@ -418,7 +418,7 @@ class SceneTables(Parameters):
     detector: dict[str, Any] = Field(default_factory=dict)
     rig: RigTable
     objects: Annotated[tuple[ObjectTable, ...], Field(min_length=1)]
-    # Their keys are those of the BSDFs (slbench.scene.bsdfs).
+    # Their keys are those of the BSDFs (slbench.scene.surfaces.bsdfs).
     materials: dict[str, dict[str, Any]] = Field(default_factory=dict)
     light: LightTable = LightTable()
     environment: EnvironmentTable | None = None

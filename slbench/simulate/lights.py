@@ -16,8 +16,8 @@ from typing import Any
 
 from slbench.core.colour import BANDS
 from slbench.rig import Rig
-from slbench.scene.materials import Material
 from slbench.scene.model import Scene, SceneObject
+from slbench.scene.surfaces.materials import Material
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.colour import ColourTransport
 from slbench.simulate.stack import traced

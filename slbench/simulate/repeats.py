@@ -19,8 +19,8 @@ from slbench.core.errors import InputError, located
 from slbench.core.random import Word, generator, tagged_seed
 from slbench.patterns import Flat, Fringes, PatternSequence, relative_phase
 from slbench.rig import Pose
-from slbench.scene.materials import PRESETS
 from slbench.scene.model import Scene, SceneObject
+from slbench.scene.surfaces.materials import PRESETS
 from slbench.simulate.expose import lighting, radiance_batches, shutter_for
 from slbench.simulate.floors import fused_radiance, halves
 from slbench.simulate.stack import capture_stack, check_frame_errors

@@ -16,12 +16,12 @@ from slbench import objects
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
 from slbench.rig.optics.spread import Spread
-from slbench.scene.bsdfs import Diffuse
 from slbench.scene.colour import Colour
 from slbench.scene.file import load_scene
-from slbench.scene.materials import Material
 from slbench.scene.model import Scene, SceneObject
-from slbench.scene.textures import Tint
+from slbench.scene.surfaces.bsdfs import Diffuse
+from slbench.scene.surfaces.materials import Material
+from slbench.scene.surfaces.textures import Tint
 from slbench.simulate.footprints import Levels
 from slbench.simulate.render import current
 from slbench.simulate.render.mitsuba import mi

@@ -19,8 +19,8 @@ from slbench.core.io import read_toml, write_toml
 from slbench.patterns import Flat, Fringes, NoiseModel, PatternSequence, relative_phase
 from slbench.rig import Pose
 from slbench.scene.file import load_scene
-from slbench.scene.materials import PRESETS
 from slbench.scene.model import SceneObject
+from slbench.scene.surfaces.materials import PRESETS
 from slbench.score.fusion import score_fusion
 from slbench.simulate.folder import write_scan
 from slbench.simulate.scan import scan

@@ -69,7 +69,7 @@ from slbench.datasets.export.registry import exporters
 from slbench.detector import detectors
 from slbench.objects import artefacts
 from slbench.patterns import pattern_codes
-from slbench.scene.bsdfs import bsdfs
+from slbench.scene.surfaces.bsdfs import bsdfs
 
 pattern_codes.add("ramp", Ramp)
 artefacts.add("box", BOX)

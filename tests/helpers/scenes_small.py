@@ -19,10 +19,10 @@ from stages import ground_truth, trace
 from slbench import objects
 from slbench.cli import main
 from slbench.rig import Pose
-from slbench.scene.bsdfs import Diffuse
 from slbench.scene.file import load_scene
-from slbench.scene.materials import Material
 from slbench.scene.model import Scene, SceneObject
+from slbench.scene.surfaces.bsdfs import Diffuse
+from slbench.scene.surfaces.materials import Material
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.transport import LightTransport
 

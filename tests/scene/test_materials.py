@@ -12,10 +12,10 @@ from trimesh.visual.material import PBRMaterial
 
 from slbench import objects
 from slbench.core.errors import InputError
-from slbench.scene.bsdfs import Diffuse, Principled, RoughConductor
 from slbench.scene.file import load_scene
-from slbench.scene.materials import PRESETS, Material, own_materials
 from slbench.scene.model import SceneObject
+from slbench.scene.surfaces.bsdfs import Diffuse, Principled, RoughConductor
+from slbench.scene.surfaces.materials import PRESETS, Material, own_materials
 from slbench.simulate.render.show import shade
 
 #: Named in the issue.

@@ -19,10 +19,10 @@ from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, DesignVariables, Lens, Pose, Projector, Rig
 from slbench.rig.opencv import write_rig
-from slbench.scene.bsdfs import Diffuse, RoughConductor, RoughPlastic
 from slbench.scene.file import load_scene
-from slbench.scene.materials import PRESETS, Material
 from slbench.scene.model import Exposure, Light
+from slbench.scene.surfaces.bsdfs import Diffuse, RoughConductor, RoughPlastic
+from slbench.scene.surfaces.materials import PRESETS, Material
 
 PLACES = {
     "camera": {"position_mm": [-200.0, 30.0, 400.0]},

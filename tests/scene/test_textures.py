@@ -10,12 +10,12 @@ from slbench import objects
 from slbench.core.colour import LUMINANCE, decode_srgb, luminance
 from slbench.core.errors import InputError
 from slbench.objects.surface import Pixels
-from slbench.scene.bsdfs import Diffuse, RoughPlastic
 from slbench.scene.drawn import Checker, Noise, Spots, Stripes, Text
 from slbench.scene.file import load_scene
-from slbench.scene.materials import Material
 from slbench.scene.model import SceneObject
-from slbench.scene.textures import OfMesh, Picture
+from slbench.scene.surfaces.bsdfs import Diffuse, RoughPlastic
+from slbench.scene.surfaces.materials import Material
+from slbench.scene.surfaces.textures import OfMesh, Picture
 from slbench.simulate.lights import light_key
 
 SCENE = """

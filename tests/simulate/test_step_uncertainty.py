@@ -15,8 +15,8 @@ from stages import capture, ground_truth, trace
 from slbench import objects
 from slbench.cloud.triangulation import triangulate
 from slbench.rig import Pose
-from slbench.scene.materials import Diffuse
 from slbench.scene.model import Material, SceneObject
+from slbench.scene.surfaces.materials import Diffuse
 from slbench.score.points import score
 
 

@@ -13,8 +13,8 @@ from slbench.calibration.models.points import CalibrationPoints
 from slbench.calibration.target.stage import stage_view
 from slbench.core.io import read_table, write_table
 from slbench.rig import Pose
-from slbench.scene.materials import PRESETS
 from slbench.scene.model import SceneObject
+from slbench.scene.surfaces.materials import PRESETS
 from slbench.simulate.stack import capture_stack, with_lit_frame
 
 POSITIONS = ("x_mm", "y_mm", "z_mm")

@@ -16,11 +16,11 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_colour
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
-from slbench.scene.bsdfs import Diffuse
 from slbench.scene.colour import Colour
-from slbench.scene.materials import Material
 from slbench.scene.model import Light
-from slbench.scene.textures import Tint
+from slbench.scene.surfaces.bsdfs import Diffuse
+from slbench.scene.surfaces.materials import Material
+from slbench.scene.surfaces.textures import Tint
 from slbench.simulate.colour import ColourTransport, chips, demosaiced, exposed
 from slbench.simulate.expose import capture, radiance_batches, shutter_for
 from slbench.simulate.lights import Lights

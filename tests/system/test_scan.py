@@ -17,10 +17,10 @@ from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact, Mesh
 from slbench.patterns import PatternSequence
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
-from slbench.scene.bsdfs import Diffuse
 from slbench.scene.file import load_scene
-from slbench.scene.materials import Material
 from slbench.scene.model import Exposure, Light, Scene, SceneObject
+from slbench.scene.surfaces.bsdfs import Diffuse
+from slbench.scene.surfaces.materials import Material
 from slbench.scene.truth import GroundTruth, Status
 from slbench.score.points import point_errors
 from slbench.simulate.folder import write_scan

@@ -12,8 +12,8 @@ from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
 from slbench.rig import Pose
 from slbench.scene.file import load_scene
-from slbench.scene.materials import PRESETS
 from slbench.scene.model import SceneObject
+from slbench.scene.surfaces.materials import PRESETS
 from slbench.twin import experiment
 from slbench.twin.experiment import run_experiment, sampling_doubt, stage_positions
 

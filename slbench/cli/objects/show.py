@@ -32,7 +32,7 @@ def show(
     """Draw an artefact to scale, with its declared features."""
     from slbench.core.io import check_output_file
     from slbench.report.plots.draw import object_picture
-    from slbench.scene.materials import PRESETS
+    from slbench.scene.surfaces.materials import PRESETS
     from slbench.simulate.render.show import places, shade
 
     if material is not None and material not in PRESETS:

@@ -18,7 +18,7 @@ from slbench.core.modules import module_content
 from slbench.core.validation.wording import shown
 from slbench.datasets.store.sample import MODULE
 from slbench.objects.registry import artefacts
-from slbench.scene.bsdfs import DEFAULT, bsdfs
+from slbench.scene.surfaces.bsdfs import DEFAULT, bsdfs
 
 
 def embedded(

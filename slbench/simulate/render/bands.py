@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from slbench.scene.bsdfs import Bsdf, Diffuse, Principled, RoughConductor, RoughPlastic
 from slbench.scene.model import Light, SceneObject
-from slbench.scene.textures import OfVertices
+from slbench.scene.surfaces.bsdfs import Bsdf, Diffuse, Principled, RoughConductor, RoughPlastic
+from slbench.scene.surfaces.textures import OfVertices
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.translate import bsdf_dict, shape_indices, shapes
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from slbench.objects import Artefact
 from slbench.rig import Pose, box_corners
-from slbench.scene.bsdfs import Diffuse
-from slbench.scene.materials import Material, own_materials
 from slbench.scene.model import SceneObject
+from slbench.scene.surfaces.bsdfs import Diffuse
+from slbench.scene.surfaces.materials import Material, own_materials
 from slbench.simulate.render.mitsuba import mi
 from slbench.simulate.render.plugins.register import register
 from slbench.simulate.render.translate import shapes

@@ -22,10 +22,10 @@ from slbench.core.io import files_beside, write_exr
 from slbench.core.io.atomic import native_writing
 from slbench.objects import Mesh
 from slbench.rig import Camera, Device, Pose, Projector
-from slbench.scene.bsdfs import grey
-from slbench.scene.materials import Material
 from slbench.scene.model import Light, Scene, SceneObject
-from slbench.scene.textures import VERTEX_ALBEDO, OfVertices
+from slbench.scene.surfaces.bsdfs import grey
+from slbench.scene.surfaces.materials import Material
+from slbench.scene.surfaces.textures import VERTEX_ALBEDO, OfVertices
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.plugins.optics import properties_from_device
 from slbench.simulate.render.plugins.register import register

@@ -32,11 +32,11 @@ from slbench.datasets.spec.specification import Specification
 from slbench.design.rig import hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import artefacts, loading
-from slbench.scene.bsdfs import bsdfs
 from slbench.scene.devices.detector import SheetKeys
 from slbench.scene.file import read_merged
+from slbench.scene.surfaces.bsdfs import bsdfs
+from slbench.scene.surfaces.textures import textures
 from slbench.scene.tables import SceneOfFile, SceneTables
-from slbench.scene.textures import textures
 
 OBJECTS = {name: read_toml(resources.find("objects", name)) for name in resources.names("objects")}
 SCENE = read_merged(resources.find("scenes", "step-block"))

@@ -1,5 +1,5 @@
 from slbench.core.validation.types import Share
-from slbench.scene.bsdfs import Bsdf, grey
+from slbench.scene.surfaces.bsdfs import Bsdf, grey
 
 
 class SmoothPlastic(Bsdf):

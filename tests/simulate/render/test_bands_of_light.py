@@ -8,12 +8,12 @@ from scenes_small import small
 
 from slbench.core.colour import BANDS
 from slbench.objects.surface import Coloured, Pixels
-from slbench.scene.bsdfs import Bsdf, Diffuse, Principled, RoughConductor, RoughPlastic
 from slbench.scene.colour import Colour
 from slbench.scene.environment import environment_of
-from slbench.scene.materials import Material
 from slbench.scene.model import Light
-from slbench.scene.textures import OfVertices, Picture, Tint
+from slbench.scene.surfaces.bsdfs import Bsdf, Diffuse, Principled, RoughConductor, RoughPlastic
+from slbench.scene.surfaces.materials import Material
+from slbench.scene.surfaces.textures import OfVertices, Picture, Tint
 from slbench.simulate import stack
 from slbench.simulate.render import bands, trace
 from slbench.simulate.stack import traced

@@ -11,10 +11,10 @@ from helpers_scene import camera, facing_rig, plate, projector, scene
 from stages import trace
 
 from slbench.rig import Pose
-from slbench.scene.bsdfs import Diffuse
 from slbench.scene.environment import Environment, Radiance, environment_of
-from slbench.scene.materials import Material
 from slbench.scene.model import Light
+from slbench.scene.surfaces.bsdfs import Diffuse
+from slbench.scene.surfaces.materials import Material
 from slbench.simulate.lights import light_key
 
 SAMPLES = 256

@@ -11,11 +11,11 @@ from stages import ground_truth, trace
 from slbench import objects
 from slbench.core.errors import InputError, InputWarning
 from slbench.rig import Pose, Rig
-from slbench.scene.bsdfs import Diffuse
 from slbench.scene.environment import Environment, Radiance
-from slbench.scene.materials import Material
 from slbench.scene.model import Light, SceneObject
-from slbench.scene.translucent import Dielectric, Translucent
+from slbench.scene.surfaces.bsdfs import Diffuse
+from slbench.scene.surfaces.materials import Material
+from slbench.scene.surfaces.translucent import Dielectric, Translucent
 from slbench.scene.truth import Status
 from slbench.simulate.render.mitsuba import mi
 from slbench.simulate.render.translate import export_xml

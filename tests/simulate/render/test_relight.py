@@ -24,11 +24,11 @@ from stages import trace
 
 import slbench.simulate.render.trace as tracing
 from slbench.core.errors import InputError
-from slbench.scene.bsdfs import bsdfs
 from slbench.scene.drawn import Noise
 from slbench.scene.environment import environment_of
-from slbench.scene.materials import Material
 from slbench.scene.model import Light
+from slbench.scene.surfaces.bsdfs import bsdfs
+from slbench.scene.surfaces.materials import Material
 from slbench.simulate.render.mitsuba import mi
 from slbench.simulate.render.translate import mitsuba_dict
 from slbench.simulate.transport import LightTransport

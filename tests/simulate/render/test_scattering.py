@@ -14,11 +14,11 @@ from stages import trace
 from slbench import objects
 from slbench.core.errors import InputError
 from slbench.rig import Pose, Rig
-from slbench.scene.bsdfs import Diffuse, Principled, RoughConductor, RoughPlastic
 from slbench.scene.drawn import Stripes
-from slbench.scene.materials import Material
 from slbench.scene.model import Light, SceneObject
-from slbench.scene.textures import NormalMap, read_texture
+from slbench.scene.surfaces.bsdfs import Diffuse, Principled, RoughConductor, RoughPlastic
+from slbench.scene.surfaces.materials import Material
+from slbench.scene.surfaces.textures import NormalMap, read_texture
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.translate import bsdf_dict
 

@@ -21,11 +21,11 @@ from trimesh.visual.material import PBRMaterial
 from slbench import objects
 from slbench.core.colour import BANDS, LUMINANCE, decode_srgb
 from slbench.rig import Lens, Pose, Rig
-from slbench.scene.bsdfs import Diffuse
 from slbench.scene.colour import Colour
 from slbench.scene.drawn import Checker, Stripes
-from slbench.scene.materials import Material, own_materials
 from slbench.scene.model import SceneObject
+from slbench.scene.surfaces.bsdfs import Diffuse
+from slbench.scene.surfaces.materials import Material, own_materials
 from slbench.simulate.render.mitsuba import mi
 from slbench.simulate.render.translate import export_xml, mitsuba_dict
 from slbench.simulate.stack import traced

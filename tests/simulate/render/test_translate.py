@@ -20,10 +20,10 @@ from stages import ground_truth, trace
 
 from slbench.core.errors import InputError
 from slbench.rig import Lens, Pose, Rig
-from slbench.scene.bsdfs import Diffuse, RoughConductor, bsdfs
 from slbench.scene.environment import environment_of
-from slbench.scene.materials import Material
 from slbench.scene.model import Light, SceneObject
+from slbench.scene.surfaces.bsdfs import Diffuse, RoughConductor, bsdfs
+from slbench.scene.surfaces.materials import Material
 from slbench.simulate.render import translate
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.translate import (

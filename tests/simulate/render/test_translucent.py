@@ -15,9 +15,9 @@ from stages import trace
 
 from slbench import objects
 from slbench.rig import Camera, Lens, Pose, Projector, Rig
-from slbench.scene.materials import Material
 from slbench.scene.model import Light, SceneObject
-from slbench.scene.translucent import Translucent
+from slbench.scene.surfaces.materials import Material
+from slbench.scene.surfaces.translucent import Translucent
 from slbench.simulate.render.mitsuba import mi
 from slbench.simulate.render.translate import mitsuba_dict
 

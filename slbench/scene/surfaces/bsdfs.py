@@ -14,8 +14,8 @@ from typing import Annotated, Any, Literal, Self
 from slbench.core.registry import Registry
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Fraction, Interval, Measure, NotNegative, Share
-from slbench.scene.interiors import Interior
-from slbench.scene.textures import (
+from slbench.scene.surfaces.interiors import Interior
+from slbench.scene.surfaces.textures import (
     COLOURED,
     LEAST_ROUGHNESS,
     FractionMap,
@@ -92,14 +92,14 @@ bsdfs: Registry[type[Bsdf]] = Registry(
     "BSDF",
     "slbench.bsdfs",
     {
-        "diffuse": "slbench.scene.bsdfs:Diffuse",
-        "rough_plastic": "slbench.scene.bsdfs:RoughPlastic",
-        "rough_conductor": "slbench.scene.bsdfs:RoughConductor",
-        "principled": "slbench.scene.bsdfs:Principled",
-        "translucent": "slbench.scene.translucent:Translucent",
-        "dielectric": "slbench.scene.translucent:Dielectric",
+        "diffuse": "slbench.scene.surfaces.bsdfs:Diffuse",
+        "rough_plastic": "slbench.scene.surfaces.bsdfs:RoughPlastic",
+        "rough_conductor": "slbench.scene.surfaces.bsdfs:RoughConductor",
+        "principled": "slbench.scene.surfaces.bsdfs:Principled",
+        "translucent": "slbench.scene.surfaces.translucent:Translucent",
+        "dielectric": "slbench.scene.surfaces.translucent:Dielectric",
     },
-    base="slbench.scene.bsdfs:Bsdf",
+    base="slbench.scene.surfaces.bsdfs:Bsdf",
 )
 #: What a table is that names none.
 DEFAULT = "diffuse"

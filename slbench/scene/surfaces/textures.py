@@ -229,15 +229,15 @@ textures: Registry[type[Texture]] = Registry(
     "texture",
     "slbench.textures",
     {
-        "picture": "slbench.scene.textures:Picture",
-        "mesh": "slbench.scene.textures:OfMesh",
+        "picture": "slbench.scene.surfaces.textures:Picture",
+        "mesh": "slbench.scene.surfaces.textures:OfMesh",
         "checker": "slbench.scene.drawn:Checker",
         "stripes": "slbench.scene.drawn:Stripes",
         "noise": "slbench.scene.drawn:Noise",
         "speckle": "slbench.scene.drawn:Spots",
         "text": "slbench.scene.drawn:Text",
     },
-    base="slbench.scene.textures:Texture",
+    base="slbench.scene.surfaces.textures:Texture",
 )
 
 _EXPECTED = "a number in [0, 1], a picture's file, or a table with texture"

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 from pydantic import field_validator
 
 from slbench.core.validation.types import FINITE, Fraction, Interval
-from slbench.scene.bsdfs import Bsdf, grey
-from slbench.scene.interiors import Interior
-from slbench.scene.textures import Normals
+from slbench.scene.surfaces.bsdfs import Bsdf, grey
+from slbench.scene.surfaces.interiors import Interior
+from slbench.scene.surfaces.textures import Normals
 
 #: Coefficients of media: mean free paths from 1 um to 10 m.
 Scattering = Annotated[float, FINITE, Interval(ge=1e-4, le=1e3)]

@@ -19,7 +19,7 @@ from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
 from slbench.objects import Artefact
 from slbench.objects.surface import Pixels, Surface
-from slbench.scene.bsdfs import (
+from slbench.scene.surfaces.bsdfs import (
     DEFAULT,
     Bsdf,
     Diffuse,
@@ -28,7 +28,7 @@ from slbench.scene.bsdfs import (
     RoughPlastic,
     bsdfs,
 )
-from slbench.scene.textures import (
+from slbench.scene.surfaces.textures import (
     LEAST_ROUGHNESS,
     NormalMap,
     OfMesh,
@@ -38,7 +38,7 @@ from slbench.scene.textures import (
     Tint,
     read_texture,
 )
-from slbench.scene.translucent import Dielectric, Translucent
+from slbench.scene.surfaces.translucent import Dielectric, Translucent
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""How surfaces scatter light: materials, their models, textures, and what is inside."""
