@@ -71,9 +71,9 @@ from .rig import Rig as Rig
 from .rig.opencv import read_rig as read_rig
 from .rig.opencv import write_rig as write_rig
 from .scene.file import load_scene as load_scene
-from .scene.surfaces.materials import Material as Material
 from .scene.model import Scene as Scene
 from .scene.model import SceneObject as SceneObject
+from .scene.surfaces.materials import Material as Material
 from .scene.truth import GroundTruth as GroundTruth
 from .score.clouds.scored import score_cloud as score_cloud
 from .score.points import Score as Score
