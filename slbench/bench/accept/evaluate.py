@@ -155,7 +155,10 @@ class Measured:
         standard, errors = self.place.standard, self.errors()
         by_half = [fit.points.sampling_mm for fit in self.fits]
         known = [d for d in by_half if d is not None]
-        sampled = self.errors(known) if len(known) == len(by_half) else errors
+        # To both sides: more noise of samples widens a range, which is no scatter of it.
+        sides = [errors, errors]
+        if len(known) == len(by_half):
+            sides = [self.errors([sign * d for d in known]) for sign in (1.0, -1.0)]
         fit = _fit_deviations(standard, self.fits)
         squares = dict.fromkeys(errors, 0.0)
         for one in draws:
@@ -171,7 +174,7 @@ class Measured:
                 "expansion": standard.u_expansion_mm(size) if TESTS[name].signed else 0.0,
                 "temperature": standard.u_temperature_mm(size) if TESTS[name].signed else 0.0,
                 "fit": fit[name],
-                "sampling": abs(sampled[name] - error),
+                "sampling": 0.5 * abs(sides[0][name] - sides[1][name]),
             }
             measured = error + size if TESTS[name].signed else error
             found.append(
