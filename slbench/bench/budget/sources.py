@@ -286,7 +286,7 @@ def _frame_errors(
         if trigger.rate > 0.0:
             by_chance = _exposed(lit, trigger=replace(trigger, lost=()))
             yield Source("lost triggers", "random", by_chance, repeats)
-        if trigger.lost:
+        if trigger.lost or trigger.rate == 0.0:
             name = "lost triggers" if trigger.rate == 0.0 else "lost triggers that are stated"
             stated = _exposed(base, trigger=replace(trigger, rate=0.0))
             yield Source(name, "steady", stated)
