@@ -17,6 +17,11 @@ units and defaults.
 Files of other programs come as the same entries (:mod:`slbench.rig.files`), so that one reader
 checks and builds every rig.
 
+A rig of several devices names them: ``cameras: "left right"``, ``projectors: "main"`` (none where
+cameras measure without a calibrated projector).  Their names take the place of ``camera`` and
+``projector`` in all entries, ``flux_w_main`` included, and each stands where ``R_left``,
+``T_left`` say, from world to device coordinates (default for the first: the world is its frame).
+
 A camera that was calibrated alone has a file with its own entries and ``device: camera``
 (:func:`write_camera`), which is no rig.
 
@@ -27,7 +32,8 @@ it is not where the world is the camera's frame.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from difflib import SequenceMatcher
 from pathlib import Path
@@ -64,9 +70,19 @@ _ENTRIES = (
     *("flux_w", "bit_depth_projector"),
     *("gamma_projector", "response_projector", "volume_mm", "covariance_names", "covariance"),
 )
+#: Entries of the devices of a rig of several, without their names; and those of the rig.
+_OF_SEVERAL = (*(stem for stem in _OF_DEVICES if stem != "name"), "R", "T")
+_OF_ROLES = {
+    "cameras": ("fill_factor", "shading"),
+    "projectors": ("flux_w", "bit_depth", "gamma", "response"),
+}
+_RIG_OF_SEVERAL = ("cameras", "projectors", "volume_mm")
 #: Letters of an entry, and its likeness to one of ours, from which it is a slip of it; and its
 #: likeness where the device's name is misspelt.
 _LEAST_LETTERS, _LIKE, _ALMOST = 4, 0.72, 0.93
+#: The likeness of whole entries of a rig of several devices; and names that entries can have.
+_LIKE_NAMED = 0.85
+_NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 #: Keys by the last word of the place that an error of the rig's own classes names.
 _KEYS = {
@@ -113,10 +129,22 @@ def write_rig(path: str | Path, rig: Rig, covariance: ParameterCovariance | None
     ----------
     path : path of the file to write (``.yaml`` or ``.yml``)
     rig : Rig
-        One camera and one projector (``rig.pair(...)``).
+        Of several devices too, whose names become parts of entries.
     covariance : ParameterCovariance, optional
         Of its parameters; :func:`~slbench.rig.parameters.read_covariance` reads it back.
+
+    Raises
+    ------
+    InputError
+        For the covariance of a rig of several devices, which has no names yet, and for names that
+        no entry can have.
     """
+    if len(rig.pairs) != 1:
+        if covariance is not None:
+            got = f"{len(rig.devices)} devices"
+            raise InputError("covariance", "one camera and one projector", got)
+        write_opencv_yaml(path, _several_entries(rig))
+        return
     camera, projector = rig.camera, rig.projector
     relative = projector.pose.rotation.T @ camera.pose.rotation
     offset = projector.pose.to_local(camera.pose.position)
@@ -145,6 +173,32 @@ def write_rig(path: str | Path, rig: Rig, covariance: ParameterCovariance | None
         values["covariance_names"] = " ".join(covariance.names)
         values["covariance"] = covariance.matrix
     write_opencv_yaml(path, values)
+
+
+def _several_entries(rig: Rig) -> dict[str, Any]:
+    """Return the entries of a rig of several devices."""
+    for name in rig.devices:
+        if not _NAME.fullmatch(name):
+            raise InputError("rig devices", "names of letters, digits, _ and -", repr(name))
+    values: dict[str, Any] = {"cameras": " ".join(rig.cameras)}
+    if rig.projectors:
+        values["projectors"] = " ".join(rig.projectors)
+    for name, device in rig.devices.items():
+        values |= _device_entries(name, device)
+        values[f"R_{name}"] = device.pose.rotation.T
+        values[f"T_{name}"] = device.pose.to_local(np.zeros(3))
+    for name, camera in rig.cameras.items():
+        values[f"fill_factor_{name}"] = float(camera.fill_factor)
+        if camera.shading:
+            values[f"shading_{name}"] = np.array(camera.shading)
+    for name, projector in rig.projectors.items():
+        values[f"flux_w_{name}"] = float(projector.flux_w)
+        values[f"bit_depth_{name}"] = int(projector.bit_depth or 0)
+        values[f"gamma_{name}"] = float(projector.gamma)
+        if projector.curve is not None:
+            values[f"response_{name}"] = np.array(projector.curve)
+    values["volume_mm"] = np.array(rig.volume_mm, dtype=np.float64)
+    return values
 
 
 def _device_entries(name: str, device: Camera | Projector) -> dict[str, Any]:
@@ -395,6 +449,8 @@ def rig_of(
         both devices, mm in the world.
     """
     values = _Values(entries)
+    if isinstance(entries.values.get("cameras"), str):
+        return _rig_of_several(values, looked_at)
     if entries.format == "slbench":
         _question_entries(values)
     camera_pose = values.pose("R_world", "T_world", Pose())
@@ -410,16 +466,8 @@ def rig_of(
         )
         depths = (camera_depth, projector_depth)
     before = depths if min(depths) > LEAST_DEPTH_MM else (None, None)
-    camera_arguments = _device_arguments(values, "camera", before[0]) | {
-        "fill_factor": values.number("fill_factor_camera", 1.0),
-        "shading": tuple(values.array("shading_camera", COUNTS, ()).tolist()),
-    }
-    projector_arguments = _device_arguments(values, "projector", before[1]) | {
-        "flux_w": values.number("flux_w", 1.0),
-        "bit_depth": values.whole("bit_depth_projector", 8) or None,
-        "gamma": values.number("gamma_projector", 1.0),
-        "curve": values.pairs("response_projector"),
-    }
+    camera_arguments = _camera_arguments(values, "camera", before[0])
+    projector_arguments = _projector_arguments(values, "projector", before[1], "flux_w")
     with _blaming_the_file(values, "camera"):
         camera = Camera(**camera_arguments, pose=camera_pose)
     with _blaming_the_file(values, "projector"):
@@ -430,3 +478,75 @@ def rig_of(
     for what, doubt in rig_doubts(rig):
         warn_user(f"{values.path}: {what}", doubt)
     return rig
+
+
+def _camera_arguments(values: _Values, name: str, depth_mm: float | None) -> dict[str, Any]:
+    return _device_arguments(values, name, depth_mm) | {
+        "fill_factor": values.number(f"fill_factor_{name}", 1.0),
+        "shading": tuple(values.array(f"shading_{name}", COUNTS, ()).tolist()),
+    }
+
+
+def _projector_arguments(
+    values: _Values, name: str, depth_mm: float | None, flux: str
+) -> dict[str, Any]:
+    return _device_arguments(values, name, depth_mm) | {
+        "flux_w": values.number(flux, 1.0),
+        "bit_depth": values.whole(f"bit_depth_{name}", 8) or None,
+        "gamma": values.number(f"gamma_{name}", 1.0),
+        "curve": values.pairs(f"response_{name}"),
+    }
+
+
+def _rig_of_several(values: _Values, looked_at: NDArray[np.float64] | None) -> Rig:
+    """Return the rig of a file that names its devices."""
+    names = {role: values.text(role, "").split() for role in _OF_ROLES}
+    _question_entries_of_several(values, names)
+    devices: dict[str, dict[str, Any]] = {}
+    first = True
+    for role, own in names.items():
+        devices[role] = {}
+        if len(set(own)) != len(own):
+            raise InputError(values.place(role), "each name once", " ".join(own))
+        for name in own:
+            pose = values.pose(f"R_{name}", f"T_{name}", Pose() if first else None)
+            first = False
+            depth = pose.origin_depth
+            if depth <= LEAST_DEPTH_MM and looked_at is not None:
+                depth = float(pose.to_local(looked_at)[2])
+            before = depth if depth > LEAST_DEPTH_MM else None
+            with _blaming_the_file(values, name):
+                if role == "cameras":
+                    arguments = _camera_arguments(values, name, before)
+                    devices[role][name] = Camera(**arguments, pose=pose)
+                else:
+                    arguments = _projector_arguments(values, name, before, f"flux_w_{name}")
+                    devices[role][name] = Projector(**arguments, pose=pose)
+    volume = values.array("volume_mm", (3,), VOLUME_MM)
+    size = (float(volume[0]), float(volume[1]), float(volume[2]))
+    try:
+        rig = Rig(devices["cameras"], devices["projectors"], size)
+    except InputError as error:
+        key = "volume_mm" if "volume" in error.where else "cameras"
+        raise InputError(values.place(key), error.expected, error.got) from None
+    told = set()
+    for pair in rig.pairs:
+        for what, doubt in rig_doubts(rig.pair(pair)):
+            named = what.replace("the camera", pair.camera).replace("the projector", pair.projector)
+            if (named, doubt) not in told:
+                warn_user(f"{values.path}: {named}", doubt)
+            told.add((named, doubt))
+    return rig
+
+
+def _question_entries_of_several(values: _Values, names: Mapping[str, Sequence[str]]) -> None:
+    """Question entries that are almost one of a rig of several devices."""
+    known = list(_RIG_OF_SEVERAL)
+    for role, own in names.items():
+        known += [f"{stem}_{name}" for name in own for stem in (*_OF_SEVERAL, *_OF_ROLES[role])]
+    missing = [entry for entry in known if entry not in values.values]
+    for key in sorted(values.values.keys() - set(known)):
+        entry = max(missing, key=lambda one: SequenceMatcher(None, key, one).ratio(), default="")
+        if len(key) >= _LEAST_LETTERS and SequenceMatcher(None, key, entry).ratio() >= _LIKE_NAMED:
+            doubt = f"not an entry of a rig; did you mean {entry!r}?"
+            warn_user(f"{values.path}: {key}", doubt)

@@ -135,14 +135,14 @@ class Rig:
     cameras : Camera or mapping of str to Camera
         One camera goes by the name "camera".
     projectors : Projector or mapping of str to Projector
-        One projector goes by the name "projector".
+        One projector goes by the name "projector"; none where cameras alone are calibrated.
     volume_mm : (float, float, float)
         Size of the measurement volume along the world's axes, centred on the origin.
 
     Attributes
     ----------
     cameras, projectors : mapping of str to Camera or Projector
-        At least one of each; a name belongs to one device.
+        At least one of each, or two cameras; a name belongs to one device.
     """
 
     cameras: Mapping[str, Camera]
@@ -165,7 +165,8 @@ class Rig:
             ("volume_mm", volume_mm),
         ):
             object.__setattr__(self, name, value)
-        if not cameras or not projectors or set(cameras) & set(projectors):
+        alone = len(cameras) + len(projectors) < 2  # two cameras measure without a projector
+        if not cameras or alone or set(cameras) & set(projectors):
             expected = "cameras and projectors, each with a name of its own"
             raise InputError("rig devices", expected, [*cameras, *projectors])
         if len(volume_mm) != 3 or not all(0 < size < np.inf for size in volume_mm):
@@ -185,8 +186,9 @@ class Rig:
             If the rig has no such device.
         """
         if pair not in self.pairs:
-            known = ", ".join("-".join(names) for names in self.pairs)
-            raise InputError("rig devices", f"a pair of {known}", "-".join(pair))
+            names = ["-".join(one) for one in self.pairs]
+            expected = f"a pair of {', '.join(names) or 'a camera and a projector'}"
+            raise InputError("rig devices", expected, "-".join(pair))
         camera, projector = self.cameras[pair.camera], self.projectors[pair.projector]
         return type(self)({pair.camera: camera}, {pair.projector: projector}, self.volume_mm)
 
@@ -338,7 +340,7 @@ class Rig:
 
 
 def _only(devices: Mapping[str, Device]) -> str:
-    if len(devices) > 1:
+    if len(devices) != 1:
         expected = "one camera and one projector (those of a pair)"
-        raise InputError("rig devices", expected, ", ".join(devices))
+        raise InputError("rig devices", expected, ", ".join(devices) or "no projector")
     return next(iter(devices))

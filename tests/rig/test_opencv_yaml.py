@@ -332,3 +332,71 @@ def test_files_that_are_none(tmp_path):
         read_rig(tmp_path / "broken.yml")
     with pytest.raises(InputError, match=r"rig\.txt: expected a name that ends in"):
         write_rig(tmp_path / "rig.txt", RIG)
+
+
+SEVERAL = Rig(
+    {"left": RIG.camera, "right_2": replace(TELECENTRIC.camera, shading=(0.1, -0.2))},
+    {"main": RIG.projector, "side": replace(PROJECTOR, flux_w=0.5, gamma=1.0)},
+    (50.0, 40.0, 20.0),
+)
+#: Two cameras as ``cv2.stereoCalibrate`` has them: the first one's frame is the world.
+ALONE = Rig({"left": CAMERA, "right": replace(CAMERA, pose=RIG.projector.pose)}, {})
+
+
+@pytest.mark.parametrize("rig", [SEVERAL, ALONE], ids=["two and two", "cameras alone"])
+def test_rigs_of_several_devices_come_back_by_name(rig, tmp_path):
+    write_rig(tmp_path / "rig.yaml", rig)
+    read = read_rig(tmp_path / "rig.yaml")
+    assert list(read.devices) == list(rig.devices)
+    for names in zip(read.cameras, read.projectors or rig.projectors, strict=False):
+        pairs = [
+            Rig(one.cameras[names[0]], one.projectors[names[1]], one.volume_mm)
+            for one in (read, rig)
+        ]
+        assert_same(*pairs)
+    for name, camera in rig.cameras.items():
+        assert read.cameras[name].shading == camera.shading
+        points = camera.pose.to_world(np.array([[5.0, -3.0, 400.0], [0.0, 8.0, 500.0]]))
+        np.testing.assert_allclose(
+            read.cameras[name].project(points), camera.project(points), rtol=0.0, atol=1e-9
+        )
+
+
+def test_the_first_of_several_devices_is_the_world_unless_it_says_where_it_stands(tmp_path):
+    path = tmp_path / "rig.yaml"
+    write_rig(path, ALONE)
+    lines = path.read_text().splitlines()
+    start = lines.index("R_left: !!opencv-matrix")
+    end = next(k for k in range(start, len(lines)) if lines[k].startswith("K_right"))
+    path.write_text("\n".join(lines[:start] + lines[end:]) + "\n")
+    assert np.array_equal(read_rig(path).cameras["left"].pose.rotation, np.eye(3))
+    path.write_text(path.read_text().replace("R_right", "R_rihgt"))
+    with pytest.warns(InputWarning, match="R_rihgt.*did you mean 'R_right'"):  # noqa: SIM117
+        with pytest.raises(InputError, match="R_right: expected this key"):
+            read_rig(path)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("cameras: left right", "cameras: left left", "each name once"),
+        ("cameras: left right", "cameras: left", "a name of its own"),
+        ("cameras: left right", "cameras: left wrong", "K_wrong|R_wrong"),
+        ("lens_right: perspective", "lens_right: persective", "lens_right"),
+    ],
+)
+def test_files_of_several_devices_that_say_what_is_wrong(old, new, expected, tmp_path):
+    path = tmp_path / "rig.yaml"
+    write_rig(path, ALONE)
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(InputError, match=expected):
+        read_rig(path)
+
+
+def test_what_no_file_of_several_devices_can_hold(tmp_path):
+    named = Rig({"left eye": CAMERA, "right": RIG.camera}, {})
+    with pytest.raises(InputError, match="letters, digits"):
+        write_rig(tmp_path / "rig.yaml", named)
+    with pytest.raises(InputError, match="no projector"):
+        _ = ALONE.projector

@@ -25,6 +25,8 @@ Order = Literal["camera-projector", "projector-camera"]
 _ORDERS: tuple[Order, ...] = ("camera-projector", "projector-camera")
 #: Of our own files: either is theirs.
 _OWN = ("K_camera", "K_projector")
+#: Of our own files of several devices: a text of names.
+_NAMES = "cameras"
 #: The entry of a device that was calibrated alone: which it is.
 DEVICE = "device"
 #: Entries of an unknown file that a refusal names.
@@ -88,7 +90,11 @@ class Entries:
 
 def is_own(path: str | Path) -> bool:
     """Return whether a file is a rig's of slbench's own."""
-    return any(key in Source(path).storage for key in _OWN)
+    return _is_own(Source(path))
+
+
+def _is_own(source: Source) -> bool:
+    return isinstance(source.storage.get(_NAMES), str) or any(key in source.storage for key in _OWN)
 
 
 def rig_entries(paths: str | Path | Sequence[str | Path], stated: Stated | None = None) -> Entries:
@@ -108,7 +114,7 @@ def rig_entries(paths: str | Path | Sequence[str | Path], stated: Stated | None 
     given = [paths] if isinstance(paths, str | Path) else list(paths)
     sources = [Source(path) for path in given]
     stated = stated or Stated()
-    if len(sources) == 1 and any(key in sources[0].storage for key in _OWN):
+    if len(sources) == 1 and _is_own(sources[0]):
         if stated != Stated():
             expected = "no unit, size, pitch, order or first pixel beside a file of slbench's own"
             raise InputError(sources[0].path, expected, "some of them")
