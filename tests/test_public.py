@@ -106,6 +106,7 @@ def values(tmp_path_factory):
             ball.spheres[0],
             sl.objects.artefacts.get("plane"),
         ),
+        sl.capture.Captures({scan.capture.pair: scan.capture}, scene.rig),
         *(stack, stack.focus, scan.capture.noise, sl.patterns.Rule.ORDER),
         *(sl.Fringes(8), sl.GrayCode(), sl.Flat(1.0), scene.sequence.frames()[0]),
         scene.with_patterns("white+black+gray+1,2,4,8,16,32,64@8", axes="uv").sequence,

@@ -3,6 +3,8 @@
 from . import fusion as fusion
 from .capture import Capture as Capture
 from .capture import read_capture as read_capture
+from .captures import Captures as Captures
+from .captures import read_captures as read_captures
 from .focus import Focus as Focus
 from .stack import FocusStack as FocusStack
 from .stack import FusedCapture as FusedCapture

@@ -385,12 +385,41 @@ class Capture(Value):
             If 16-bit files hold fewer bits, left-aligned: frames and the manifest's numbers of the
             same scale are shifted down.  If floats are so small that nothing could be measured.
         """
-        root = Path(folder)
-        path = root if root.suffix.lower() == ".toml" else root / MANIFEST
+        path = manifest_path(folder)
         manifest = read_toml(path)
-        table = validated(CaptureTable, manifest, str(path), ": ")
+        if "pairs" in manifest:
+            expected = "the capture of one camera and one projector; `slbench decode` takes several"
+            raise InputError(f"{path}: pairs", expected, "several")
+        return cls.of_manifest(
+            path, manifest, allow_modules=allow_modules, allow_outside=allow_outside
+        )
+
+    @classmethod
+    def of_manifest(
+        cls,
+        path: Path,
+        manifest: dict[str, Any],
+        *,
+        where: str | None = None,
+        allow_modules: bool = False,
+        allow_outside: bool = False,
+    ) -> Capture:
+        """Return the capture that the keys of a manifest describe; see :meth:`load`.
+
+        Parameters
+        ----------
+        path : Path
+            Of the manifest, beside which files are looked for.
+        manifest : dict
+        where : str, optional
+            What to name in refusals, a table in the file; else the file.
+        allow_modules, allow_outside : bool
+            As :meth:`load` has them.
+        """
+        where = where or str(path)
+        table = validated(CaptureTable, manifest, where, ": ")
         load_modules(table.modules, path.parent, allow_modules, f"{path}: modules")
-        with located(path):
+        with located(where):
             sequence = PatternSequence.from_dict(manifest["patterns"], path.parent)
             files = frame_files(
                 path.parent, table.frames, sequence.n_frames, sequence.name, allow_outside
@@ -401,7 +430,7 @@ class Capture(Value):
                 shift = left_aligned(bits)
             if shift:
                 warn_user(
-                    path,
+                    where,
                     f"the low {shift} bits of all frames are zero: taken for {16 - shift} bit, "
                     f"left-aligned, and shifted down (bit_depth = 16 keeps them)",
                 )
@@ -431,8 +460,14 @@ class Capture(Value):
                 _response(table.response, path.parent, allow_outside),
             )
         if frames.dtype.kind == "f":
-            _question_scale(path, capture)
+            _question_scale(where, capture)
         return capture
+
+
+def manifest_path(folder: str | Path) -> Path:
+    """Return the manifest of a capture's folder; a file that ends in .toml is it itself."""
+    root = Path(folder)
+    return root if root.suffix.lower() == ".toml" else root / MANIFEST
 
 
 def _response(given: float | str | None, folder: Path, allow_outside: bool) -> Response | None:
@@ -444,13 +479,13 @@ def _response(given: float | str | None, folder: Path, allow_outside: bool) -> R
     return Response(float(given))
 
 
-def _question_scale(path: Path, capture: Capture) -> None:
+def _question_scale(where: str, capture: Capture) -> None:
     """Question floats that are too small for any modulation to be measured."""
     least, frames = capture.least_modulation_dn, capture.frames
     largest = np.max(frames, initial=-inf, where=np.isfinite(frames))
     if -inf < largest < 2.0 * least:
         warn_user(
-            path,
+            where,
             f"no value is above {largest:.3g}, and a modulation below {least:g} is not measured: "
             "frames of full scale 1 need a smaller min_modulation_dn",
         )

@@ -20,6 +20,7 @@ from slbench.bench.budget.inputs import BudgetTable
 from slbench.bench.claims import baseline, file
 from slbench.calibration.models import model as calibration
 from slbench.capture.capture import CaptureTable
+from slbench.capture.captures import FolderTable
 from slbench.capture.stack import _stack_table
 from slbench.core import resources
 from slbench.core.errors import InputError
@@ -72,6 +73,7 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
         CaptureTable,
         {"frames": ["000.png"], "patterns": {"panel": [64, 48]}, "noise": {"read_dn": 0.2}},
     ),
+    (FolderTable, {"camera": "left", "projector": "main", "folder": "left-main"}),
     (_stack_table(()), {"captures": ["focus000", "focus001"], "camera_mm": [100.0, 200.0]}),
     (Detector, {"full_well_e": 9000.0}),
     (SheetKeys, {"snr_max_db": 40.3, "dynamic_range_db": 71.2}),

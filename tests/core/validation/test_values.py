@@ -14,6 +14,7 @@ import slbench
 from slbench.bench.accept.standards import Standard, Temperature
 from slbench.calibration.target.free import FreeBoard
 from slbench.capture.capture import Capture, CaptureTable
+from slbench.capture.captures import FolderTable
 from slbench.capture.focus import Focus
 from slbench.core.errors import InputError
 from slbench.core.validation.types import Percentile, Samples
@@ -83,6 +84,7 @@ VALUES = [
     Focus({"camera": (100.0,), "projector": (200.0,)}),
     CaptureTable(frames=("000.png",), patterns={}),
     Capture(np.zeros((3, 48, 64), np.uint8), SEQUENCE),
+    FolderTable(camera="left", projector="main", folder="left-main"),
     load_hardware("hardware/macro-ch6"),
     Exposure(),
     BitPlanes(periods=1.5),
