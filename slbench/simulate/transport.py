@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
@@ -501,9 +502,11 @@ def _checked(
     if array.dtype.kind not in kinds or array.ndim != dimensions:
         found = f"{array.dtype} of shape {array.shape}"
         raise InputError(f"{path}: {key}", f"{dimensions}-dimensional numbers", found)
-    if array.size and not (array.min() >= least and -np.inf < array.min() <= array.max() < np.inf):
-        which = " that are not negative" if least == 0.0 else ""
-        raise InputError(f"{path}: {key}", f"finite numbers{which}", "others")
+    if array.size and not (array.dtype.kind == "u" and least <= 0.0):
+        smallest, largest = array.min(), array.max()
+        if not (smallest >= least and -np.inf < smallest <= largest < np.inf):
+            which = " that are not negative" if least == 0.0 else ""
+            raise InputError(f"{path}: {key}", f"finite numbers{which}", "others")
     return array
 
 
@@ -519,7 +522,8 @@ def _entries(
         planes = [_checked(path, arrays, f"{name}_{part}", "u", 1) for part in _BYTES]
         if any(plane.dtype != np.uint8 or plane.shape != indices.shape for plane in planes):
             raise InputError(f"{path}: {name}", "four bytes a weight", "others")
-        arrays = {f"{name}_data": np.stack(planes, axis=1).view("<f4")[:, 0]}
+        joined = cv2.merge(planes) if indices.size else np.empty((0, 4), np.uint8)
+        arrays = {f"{name}_data": joined.reshape(-1).view("<f4")}
     return indices, _checked(path, arrays, f"{name}_data", "f", 1, least=-np.inf)
 
 
