@@ -33,6 +33,8 @@ _FITS = (0.03, 1.2)
 _SMALL, _LARGE = 0.02, 1.5
 #: Pixels of the camera that an object covers which can be measured at all.
 _SPECK_PX = 2.0
+#: Paths of light inside a material, in pixels, that a picture does not tell from none.
+_OPAQUE = 0.02
 #: Share of full well that a converter counts: gains of cameras use a tenth of it and more.
 _COUNTED = (0.1, 10.0)
 #: Diagonals of sensors of one format, over the nominal one.
@@ -62,7 +64,7 @@ def scene_doubts(scene: Scene, tables: SceneTables) -> Iterator[tuple[str, str]]
     for key, doubt in scene.colour.doubts() if scene.colour else ():
         yield f"colour.{key}", doubt
     for index, item in enumerate(scene.objects):
-        if doubt := speck_doubt(item, rig):
+        for doubt in filter(None, (speck_doubt(item, rig), turbidity_doubt(item, rig))):
             yield f"objects[{index}]", doubt
 
 
@@ -117,6 +119,26 @@ def speck_doubt(item: SceneObject, rig: Rig) -> str | None:
         return None
     said = f"{item.artefact.name} is {length(size)} long, a pixel of the camera is {length(pixel)}"
     return f"{said} there; {other}"
+
+
+def turbidity_doubt(item: SceneObject, rig: Rig) -> str | None:
+    """Question a translucent material that the object's size makes clear, or opaque."""
+    depth = _depth(rig.camera, item.middle)
+    media = (item.material_of(part).bsdf.interior for part in item.artefact.parts)
+    medium = next((one for one in media if one is not None and not one.clear), None)
+    if medium is None or depth <= 0:
+        return None
+    pixel = _field(rig.camera, depth)[0] / rig.camera.width
+    path, size = medium.transport_path_mm, float(_sizes(item).max())
+    said = f"light goes {length(path)} through {item.artefact.name} before it is turned or taken up"
+    if path > size:
+        return f"{said}, which is {length(size)} long: nearly clear. Is scattering stated in 1/µm?"
+    if path < _OPAQUE * pixel:
+        return (
+            f"{said}, and a pixel of the camera is {length(pixel)} there: as good as opaque, and a "
+            "diffuse material is traced far sooner. Is scattering stated in 1/m?"
+        )
+    return None
 
 
 def fitting_unit(item: SceneObject, rig: Rig) -> str | None:

@@ -13,9 +13,17 @@ from slbench import objects
 from slbench.core import resources
 from slbench.core.errors import InputWarning
 from slbench.rig import Pose
-from slbench.scene.doubts import fitting_unit, likely_cause, speck_doubt, unlit
+from slbench.scene.doubts import (
+    fitting_unit,
+    likely_cause,
+    speck_doubt,
+    turbidity_doubt,
+    unlit,
+)
 from slbench.scene.file import load_scene
 from slbench.scene.model import SceneObject
+from slbench.scene.surfaces.materials import PRESETS, Material
+from slbench.scene.surfaces.translucent import Dielectric, Translucent
 
 #: A pixel of its camera is 454 mm / 16 mm x 29.6 um = 0.84 mm at the origin; the field is
 #: 134 x 101 mm.
@@ -67,6 +75,34 @@ def test_a_mesh_of_two_pixels_is_the_limit(mesh):
     assert "in inches" in speck_doubt(mesh(1.6), RIG)
     assert speck_doubt(mesh(1.75), RIG) is None
     assert speck_doubt(mesh(20.0), RIG) is None
+
+
+@pytest.mark.parametrize(
+    ("scattering", "word"),
+    [
+        (0.003, "1/µm"),  # 300 mm of path with the absorption, in a part of 20 mm
+        (0.04, "1/µm"),  # 20 mm, and the box is 20 mm
+        (0.1, None),
+        (2.6, None),  # marble
+        (55.0, None),  # 18 um, a pixel is 0.84 mm: two per cent of it are 16.8 um
+        (62.0, "1/m"),
+        (900.0, "1/m"),
+    ],
+)
+def test_coefficients_of_another_unit_are_questioned(mesh, scattering, word):
+    medium = Translucent(scattering_per_mm=scattering, absorption_per_mm=0.001)
+    found = turbidity_doubt(replace(mesh(20.0), material=Material(medium)), RIG)
+    assert found is None if word is None else found.endswith(f"stated in {word}?")
+
+
+def test_scattering_forward_counts_by_what_it_turns(mesh):
+    medium = Translucent(scattering_per_mm=100.0, absorption_per_mm=0.0, g=0.9)
+    assert turbidity_doubt(replace(mesh(20.0), material=Material(medium)), RIG) is None
+
+
+@pytest.mark.parametrize("material", [*PRESETS.values(), Material(Dielectric())])
+def test_no_preset_is_questioned(mesh, material):
+    assert turbidity_doubt(replace(mesh(20.0), material=material), RIG) is None
 
 
 def test_causes(mesh):

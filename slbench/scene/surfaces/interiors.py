@@ -45,6 +45,11 @@ class Interior:
         return self.scattering_per_mm + self.absorption_per_mm
 
     @property
+    def transport_path_mm(self) -> float:
+        """Mean free path to where light has lost its direction, or is absorbed."""
+        return 1.0 / (self.scattering_per_mm * (1.0 - self.g) + self.absorption_per_mm)
+
+    @property
     def albedo(self) -> float:
         """Share of the light that a scattering event keeps."""
         return self.scattering_per_mm / self.extinction_per_mm
