@@ -8,6 +8,8 @@ from .decoded import decode_capture as decode_capture
 from .files.measured import MeasuredCloud as MeasuredCloud
 from .files.read import read_cloud as read_cloud
 from .files.write import write_cloud as write_cloud
+from .joint import JointCloud as JointCloud
+from .joint import triangulate_jointly as triangulate_jointly
 from .registration.graph import Registration as Registration
 from .registration.graph import register_views as register_views
 from .triangulation import PointCloud as PointCloud
