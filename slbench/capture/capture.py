@@ -22,8 +22,11 @@ beside ``capture.toml``, and the same manifest describes real photographs::
     gain_dn_per_e = 0.016
     offset_dn = 2.0
 
-``response = 2.2`` at its top is the projector's gamma, ``response = "curve.csv"`` its measured
-curve.  What ``frames`` may be is said in :mod:`slbench.capture.reading`.
+``exposures_ms = [2, 8, 32]`` at its top says that all frames were taken at each of several
+exposures and are listed exposure by exposure; every pixel takes those of the longest at which it
+is not saturated (:mod:`slbench.capture.exposures`).  ``response = 2.2`` is the projector's gamma,
+``response = "curve.csv"`` its measured curve.  What ``frames`` may be is said in
+:mod:`slbench.capture.reading`.
 
 ``modules = ["my_codes.py"]``
 at its top names Python files beside it that add pattern codes (:mod:`slbench.core.modules`).
@@ -39,6 +42,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.capture.exposures import Bracket, Exposures, check_exposures
 from slbench.capture.reading import allowed, frame_files, left_aligned, read_frames, shifted
 from slbench.core.colour import BANDS, Band
 from slbench.core.errors import InputError, located, warn_user
@@ -83,6 +87,7 @@ class CaptureTable(Value):
     saturation_dn: GreyLevel | None = None
     min_modulation_dn: Grey | None = None
     exposure_ms: Positive | None = None
+    exposures_ms: Exposures | None = None
     rig: str | None = None
     noise: NoiseModel | None = None
     response: Positive | str | None = None
@@ -161,6 +166,7 @@ class Capture(Value):
     rig : Rig or None
         Geometry of the camera and the projector, where it is known.
     exposure_s : float or None
+        The longest of several.
     saturation_dn : int or None
         Digital number at and above which a pixel is saturated; None is the top of the range,
         if there is one.
@@ -176,6 +182,9 @@ class Capture(Value):
     pictures : ColourPictures or None
         Of a simulated camera in colour; they are saved in the frames' place.  Dropped where the
         frames are not their channels: frames that were processed are saved themselves.
+    bracket : Bracket or None
+        All frames of several exposures, where a pixel's are those of one.  They are saved in the
+        frames' place, and dropped likewise.
     """
 
     frames: NDArray[Any]
@@ -190,6 +199,7 @@ class Capture(Value):
     rig_covariance: ParameterCovariance | None = None
     response: Response | None = None
     pictures: ColourPictures | None = None
+    bracket: Bracket | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -218,14 +228,22 @@ class Capture(Value):
             if self.rig.only != self.pair:
                 raise InputError("rig", f"devices {self.pair}", self.rig.only)
             _check_sizes(self.rig, frames.shape, self.sequence.panel)
-        if self.pictures is not None and not self.pictures.holds(frames):
-            object.__setattr__(self, "pictures", None)
+        for name in ("pictures", "bracket"):
+            source = getattr(self, name)
+            if source is not None and not source.holds(frames):
+                object.__setattr__(self, name, None)
+        if self.bracket is not None and any(part.spatial for part in self.sequence.parts):
+            expected = "one exposure: these patterns are decoded by their neighbours in the picture"
+            raise InputError("exposures_ms", expected, f"several, and {self.sequence.name}")
 
     def __repr__(self) -> str:
         count, rows, columns = self.frames.shape
         known = [name for name in ("noise", "rig") if getattr(self, name) is not None]
         bits = str(self.frames.dtype) if self.bit_depth is None else f"{self.bit_depth} bit"
         time = "" if self.exposure_s is None else f"exposure {1e3 * self.exposure_s:.4g} ms, "
+        if self.bracket is not None:
+            all_ms = ", ".join(f"{1e3 * one:.4g}" for one in self.bracket.times_s)
+            time = f"exposures {all_ms} ms, "
         return block(
             f"Capture of {count} frames {columns} x {rows} px, {bits}: "
             f"{{{self.sequence.name}}} along {' and '.join(self.sequence.axes) or 'no axis'}",
@@ -264,6 +282,29 @@ class Capture(Value):
         if self.noise is not None:
             return self.noise
         return NoiseModel(step_dn=0.0 if self.frames.dtype.kind == "f" else 1.0)
+
+    def evened(self, picture: NDArray[Any]) -> NDArray[Any]:
+        """Return a picture (V, U) of the frames' values as one exposure would have given it.
+
+        It is the picture itself where there was but one.  Otherwise it is that of the longest, by
+        the black level of the stated noise, and without a top.
+        """
+        if self.bracket is None:
+            return picture
+        return self.bracket.evened(picture, self.noise.offset_dn if self.noise else 0.0)
+
+    def one_exposure(self, where: object) -> Capture:
+        """Return the capture, for what takes frames of one exposure.
+
+        Raises
+        ------
+        InputError
+            For one of several, naming `where`.
+        """
+        if self.bracket is not None:
+            got = f"exposures_ms, {len(self.bracket.times_s)} of them"
+            raise InputError(where, "a capture of one exposure", got)
+        return self
 
     def apart(self) -> Capture:
         """Return the channels of colour pictures as frames of their own; itself without any."""
@@ -324,10 +365,13 @@ class Capture(Value):
         if self.pictures is not None:
             names = self.pictures.write(root)
         else:
-            floats = self.frames.dtype.kind == "f"
+            frames = self.frames
+            if self.bracket is not None:
+                frames = self.bracket.values.reshape(-1, *frames.shape[1:])
+            floats = frames.dtype.kind == "f"
             suffix, write = ("tif", write_tiff) if floats else ("png", write_png)
-            names = [f"frames/{k:03d}.{suffix}" for k in range(len(self.frames))]
-            for name, frame in zip(names, self.frames, strict=True):
+            names = [f"frames/{k:03d}.{suffix}" for k in range(len(frames))]
+            for name, frame in zip(names, frames, strict=True):
                 write(root / name, frame)
         manifest: dict[str, Any] = {
             "format": _FORMAT,
@@ -348,7 +392,9 @@ class Capture(Value):
             manifest["saturation_dn"] = self.saturation_dn
         if self.min_modulation_dn is not None:
             manifest["min_modulation_dn"] = self.min_modulation_dn
-        if self.exposure_s is not None:
+        if self.bracket is not None:
+            manifest["exposures_ms"] = [one * 1e3 for one in self.bracket.times_s]
+        elif self.exposure_s is not None:
             manifest["exposure_ms"] = self.exposure_s * 1e3
         if self.noise is not None:
             manifest["noise"] = asdict(self.noise)
@@ -421,9 +467,15 @@ class Capture(Value):
         load_modules(table.modules, path.parent, allow_modules, f"{path}: modules")
         with located(where):
             sequence = PatternSequence.from_dict(manifest["patterns"], path.parent)
-            files = frame_files(
-                path.parent, table.frames, sequence.n_frames, sequence.name, allow_outside
-            )
+            times_ms = table.exposures_ms or ()
+            if times_ms and table.exposure_ms is not None:
+                raise InputError("exposures_ms", "none beside exposure_ms", "both")
+            check_exposures(times_ms, "exposures_ms")
+            name = sequence.name
+            if len(times_ms) > 1:
+                name += f" at {len(times_ms)} exposures"
+            count = max(len(times_ms), 1) * sequence.n_frames
+            files = frame_files(path.parent, table.frames, count, name, allow_outside)
             frames, bits = read_frames(files)
             shift = 0
             if table.bit_depth is None and frames.dtype == np.uint16:
@@ -444,20 +496,32 @@ class Capture(Value):
                 place = allowed(path.parent, table.rig, allow_outside)
                 rig, covariance = read_rig(place, pair).pair(pair), covariance_beside(place)
             noise = table.noise
+            # The least value that reaches it once it is shifted.
+            saturation = table.saturation_dn
+            if saturation:
+                saturation = min(-(-saturation >> shift), 2 ** (16 - shift) - 1)
+            exposure_ms, bracket = table.exposure_ms, None
+            if times_ms:
+                exposure_ms = max(times_ms)
+            if len(times_ms) > 1:
+                top = inf if bit_depth is None else 2**bit_depth - 1
+                values = frames.reshape(len(times_ms), -1, *frames.shape[1:])
+                times_s = [1e-3 * one for one in times_ms]
+                bracket = Bracket.of(values, times_s, saturation or top)
+                frames = bracket.frames
             capture = cls(
                 frames,
                 sequence,
                 bit_depth,
                 _shifted_noise(noise, shift, manifest.get("noise", {})),
                 rig,
-                None if table.exposure_ms is None else table.exposure_ms * 1e-3,
-                # The least value that reaches it once it is shifted.
-                table.saturation_dn
-                and min(-(-table.saturation_dn >> shift), 2 ** (16 - shift) - 1),
+                None if exposure_ms is None else exposure_ms * 1e-3,
+                saturation,
                 table.min_modulation_dn and table.min_modulation_dn / 2**shift,
                 pair,
                 covariance,
                 _response(table.response, path.parent, allow_outside),
+                bracket=bracket,
             )
         if frames.dtype.kind == "f":
             _question_scale(where, capture)

@@ -131,7 +131,7 @@ class FocusStack:
     Raises
     ------
     InputError
-        For no captures, or captures that differ.
+        For no captures, captures that differ or that have several exposures.
     """
 
     captures: Sequence[Capture]
@@ -148,6 +148,8 @@ class FocusStack:
         if self.reader is None:
             first = self.captures[0]
             for k, other in enumerate(self.captures):
+                if self.focus is not None or len(self) > 1:
+                    other.one_exposure(f"focus stack: captures[{k}]")
                 _check_alike(f"focus stack: captures[{k}]", first, other)
 
     def __len__(self) -> int:
@@ -366,6 +368,7 @@ class _Folders(Sequence[Capture]):
         self._allow = {"allow_modules": allow_modules, "allow_outside": allow_outside}
         self._folders = [allowed(path.parent, name, allow_outside) for name in names]
         self._first = Capture.load(self._folders[0], **self._allow)
+        self._first.one_exposure(f"{path}: {names[0]}")
         self._shift = 0
         self._frames: list[list[FrameFile]] = []
         alike: dict[str, Any] = {}

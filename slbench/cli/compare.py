@@ -45,8 +45,8 @@ def compare(
             metavar="<str>",
             help='A pattern set: "1,10,50", "gray"; a TOML file, a folder of pictures, '
             'mine.py:SET; decoded with "gray+16@3 | gamma=2.2", "... | response=curve.csv" or '
-            '"... | mine.py:decode"; or a key of the scene to change: camera.f_number=8; give '
-            "each.",
+            '"... | mine.py:decode"; at several exposures "... | bracket=0.25/1/4"; or a key of '
+            "the scene to change: camera.f_number=8; give each.",
         ),
     ] = None,
     suite: Annotated[

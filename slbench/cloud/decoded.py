@@ -81,6 +81,7 @@ class Decoded:
             "predicted_sigma_mm": float(np.median(cloud.sigma_total_mm)) if cloud else None,
             "predicted_u_mm": float(np.nanmedian(cloud.u_total_mm)) if cloud else None,
             "ripple": [found.to_dict() for found in self.ripple],
+            **self._exposures(),
             "noise": self.noise_kind,
             "noise_model": None if self.noise_kind == "decoder" else asdict(self.noise),
             "dropped": self.dropped,
@@ -108,6 +109,10 @@ class Decoded:
         )
         rows.append(("predicted_u_mm", "-" if sigma is None else str(values["predicted_u_mm"])))
         rows += [(f"ripple of {found.cause}, {found.axis}", str(found)) for found in self.ripple]
+        rows += [
+            (f"valid_pixels at {one['ms']:.4g} ms", str(one["valid_pixels"]))
+            for one in values.get("exposures", ())
+        ]
         rows.append(("noise", self.noise_kind))
         dropped = [f"{name} {count}" for name, count in self.dropped.items() if count]
         rows.append(("dropped", ", ".join(dropped) or "none"))
@@ -126,6 +131,16 @@ class Decoded:
             mm, own = (float(np.median(np.abs(x))) for x in (self.gap.mm, self.gap.deviations))
             rows.append(("ray_gap", f"{length(mm)}, {own:.3g} deviations (median)"))
         return rows
+
+    def _exposures(self) -> dict[str, Any]:
+        """Return from which exposure measured pixels come, where there are several."""
+        bracket = self.capture.bracket
+        if bracket is None:
+            return {}
+        chosen = bracket.chosen[self.phase.mask]
+        counts = np.bincount(chosen, minlength=len(bracket.times_s)).tolist()
+        tables = zip(bracket.times_s, counts, strict=True)
+        return {"exposures": [{"ms": 1e3 * time, "valid_pixels": n} for time, n in tables]}
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -213,7 +228,7 @@ def grey_image(capture: Capture, phase: PhaseMap) -> NDArray[Any]:
     They are those of the lit frame, or the mean of the last frames where there is none.
     """
     lit = capture.sequence.lit_frame
-    return phase.mean if lit is None else capture.frames[lit]
+    return capture.evened(phase.mean if lit is None else capture.frames[lit])
 
 
 def _quantiles(values: NDArray[Any]) -> dict[str, float | None]:

@@ -353,6 +353,7 @@ def _build(
 ) -> Scene:
     rig = _rig(file, path)
     panel = (rig.projector.width, rig.projector.height)
+    time_ms, bracket = file.exposure.exposures()
     return Scene(
         name=file.name,
         rig=rig,
@@ -360,12 +361,13 @@ def _build(
         sequence=_patterns(file.patterns, panel, path.parent, allow_modules),
         detector=read_detector(file.detector, f"{path.name}: detector"),
         exposure=Exposure(
-            None if file.exposure.time_ms is None else file.exposure.time_ms * 1e-3,
+            None if time_ms is None else time_ms * 1e-3,
             file.exposure.white_level,
             file.exposure.vibration_px,
             None if file.exposure.bit_planes is None else file.exposure.bit_planes.value(),
             file.exposure.trigger,
             file.exposure.drift,
+            bracket,
         ),
         light=_light(file, path, place_of(rig, scene_objects)),
         samples=file.render.samples,

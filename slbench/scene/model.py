@@ -14,6 +14,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.capture.exposures import Exposures, check_exposures
 from slbench.capture.focus import Focus
 from slbench.core.colour import BANDS, Band
 from slbench.core.errors import InputError
@@ -165,6 +166,9 @@ class Exposure(Value):
     trigger : Trigger or None
     drift : Drift or None
         Frame errors (:mod:`slbench.scene.frame_errors`); None for none.
+    bracket : tuple of float
+        Every picture is taken at so many exposures, which are the one that the rest says times
+        these factors (:mod:`slbench.capture.exposures`); (1.0,) is that one alone.
     """
 
     time_s: Positive | None = None
@@ -173,6 +177,18 @@ class Exposure(Value):
     bit_planes: BitPlanes | None = None
     trigger: Trigger | None = None
     drift: Drift | None = None
+    bracket: Exposures = (1.0,)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_exposures(self.bracket, "exposure.bracket")
+        if len(self.bracket) > 1 and self.has_frame_errors:
+            expected = "one exposure beside bit_planes, trigger and drift"
+            raise InputError("exposure.bracket", expected, f"{len(self.bracket)}")
+
+    def single(self) -> Self:
+        """Return the exposure that the bracket's factors are of, alone."""
+        return replace(self, bracket=(1.0,))
 
     @property
     def has_frame_errors(self) -> bool:
@@ -234,6 +250,7 @@ class Scene(Value):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "sequence", _calibrated(self.sequence, self.colour))
+        self._check_bracket()
         panel = (self.rig.projector.width, self.rig.projector.height)
         if self.sequence.panel != panel:
             raise InputError(
@@ -254,6 +271,21 @@ class Scene(Value):
             "" if self.focus is None else f"{len(self.focus)} focus settings",
             "" if self.calibration is None else f"measured with {self.calibration.source}",
         )
+
+    def _check_bracket(self) -> None:
+        """Refuse several exposures where a pixel cannot take the frames of one."""
+        if len(self.exposure.bracket) == 1:
+            return
+        got = ""
+        if self.colour is not None:
+            got = "a scene in colour"
+        elif self.focus is not None:
+            got = "focus settings"
+        elif any(part.spatial for part in self.sequence.parts):
+            got = f"patterns decoded by their neighbours, {self.sequence.name}"
+        if got:
+            where = f"scene {self.name}: exposure"
+            raise InputError(where, "one exposure (exposures_ms, bracket)", f"several, and {got}")
 
     def with_patterns(
         self,

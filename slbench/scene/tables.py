@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from slbench.capture.exposures import Exposures
 from slbench.capture.focus import MAX_SETTINGS, Focus
 from slbench.core import resources
 from slbench.core.errors import InputError
@@ -253,14 +254,30 @@ class BitPlanesTable(Parameters):
 
 
 class ExposureTable(Parameters):
-    """``[exposure]``: time or level, vibration and frame errors."""
+    """``[exposure]``: time or level, several exposures, vibration and frame errors."""
 
     time_ms: Measure | None = None
+    exposures_ms: Exposures | None = None
+    bracket: Exposures | None = None
     white_level: Fraction = 0.8
     vibration_px: Vibration = 0.0
     bit_planes: BitPlanesTable | None = None
     trigger: Trigger | None = None
     drift: Drift | None = None
+
+    @model_validator(mode="after")
+    def _one_way(self) -> ExposureTable:
+        beside = (self.time_ms, self.bracket)
+        if self.exposures_ms is not None and any(one is not None for one in beside):
+            raise ValueError("exposures_ms alone, or a bracket of time_ms or the white_level")
+        return self
+
+    def exposures(self) -> tuple[float | None, tuple[float, ...]]:
+        """Return the exposure's time, ms, and the factors of it at which pictures are taken."""
+        if self.exposures_ms is None:
+            return self.time_ms, self.bracket or (1.0,)
+        shortest = min(self.exposures_ms)
+        return shortest, tuple(one / shortest for one in self.exposures_ms)
 
 
 class FocusTable(Parameters):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import cv2
@@ -14,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture, ColourPictures
+from slbench.capture.exposures import Bracket
 from slbench.core.colour import BANDS
 from slbench.core.errors import InputError
-from slbench.core.random import Word, generator
+from slbench.core.random import Word, generator, tagged_seed
 from slbench.detector import DetectorModel
 from slbench.patterns import NoiseModel, PatternSequence, panel_response
 from slbench.patterns.base import Variation
@@ -33,6 +35,8 @@ from slbench.simulate.transport import LightTransport
 NOMINAL_EXPOSURE_S = 0.01
 #: Memory of a channel's radiance images at a time.
 _COLOUR_BYTES = (1 << 28) // 3
+#: Tag of the random streams of exposures after the first.
+_BRACKET = 5
 
 
 class NothingLit(InputError):
@@ -54,6 +58,22 @@ class Shutter(NamedTuple):
 
     photons: float
     time_s: float
+
+    def times(self, factor: float) -> Shutter:
+        """Return the shutter of a longer exposure, or a shorter one."""
+        return Shutter(self.photons * factor, self.time_s * factor)
+
+
+def bracket_seed(seed: int, k: int) -> int:
+    """Return the seed of exposure `k` of several; the first has the scan's own."""
+    return seed if k == 0 else tagged_seed(seed, _BRACKET, k)
+
+
+def _part_of(
+    report: Callable[[float], None] | None, k: int, count: int
+) -> Callable[[float], None] | None:
+    """Return what reports the progress of one of several exposures."""
+    return report and (lambda done: report((k + done) / count))
 
 
 def capture(
@@ -91,9 +111,26 @@ def capture(
     Returns
     -------
     Capture
-        In colour, with its pictures, where the light is.
+        In colour, with its pictures, where the light is; of several exposures with its bracket.
     """
-    factor, exposure_s = shutter or shutter_for(transport, rig.camera, detector, exposure)
+    if len(exposure.bracket) > 1:
+        base = shutter or shutter_for(transport, rig.camera, detector, exposure)
+        shots = [
+            capture(
+                *(transport, sequence, rig, detector, exposure.single()),
+                seed=bracket_seed(seed, k),
+                noise=noise,
+                shutter=base.times(times),
+                on_progress=_part_of(on_progress, k, len(exposure.bracket)),
+            )
+            for k, times in enumerate(exposure.bracket)
+        ]
+        values = np.stack([one.frames for one in shots])
+        every_s = [base.times(times).time_s for times in exposure.bracket]
+        bracket = Bracket.of(values, every_s, shots[0].top_dn)
+        return replace(shots[0], frames=bracket.frames, exposure_s=max(every_s), bracket=bracket)
+    base = shutter or shutter_for(transport, rig.camera, detector, exposure)
+    factor, exposure_s = base.times(*exposure.bracket)
     n_pictures = -(-sequence.n_frames // sequence.channels)
     dtype = np.uint8 if detector.bit_depth == 8 else np.uint16
     rng = generator(seed, Word.NOISE)

@@ -79,9 +79,11 @@ def check_repeats(scene: Scene, fringes: Sequence[int], shifts: int) -> None:
     ------
     InputError
         For frame errors that its patterns cannot have, and for any with focus settings, where each
-        fringe set is a stack of its own.
+        fringe set is a stack of its own; for several exposures, as modulations are of one.
     """
     with located(f"scene {scene.name}"):
+        if len(scene.exposure.bracket) > 1:
+            raise InputError("exposure", "one, for repeats of fringes", "several (bracket)")
         if scene.focus is not None and scene.exposure.has_frame_errors:
             expected = "no frame errors with focus settings: each fringe set is captured alone"
             raise InputError("exposure", expected, "bit_planes, trigger or drift")
@@ -203,6 +205,7 @@ def _frames(
         return
     with lighting(scene):
         shutter = shutter_for(transport, scene.rig.camera, scene.detector, scene.exposure)
+    shutter = shutter.times(*light.bracket)
     few = np.empty((scene.sequence.n_frames, 1, len(pixels)), np.float32)
     for indices, radiance in radiance_batches(transport, scene.sequence, scene.rig.projector):
         few[indices, 0] = radiance.reshape(len(radiance), -1)[:, pixels]

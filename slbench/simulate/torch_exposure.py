@@ -238,18 +238,21 @@ def torch_exposure(
     Raises
     ------
     InputError
-        If PyTorch is not installed, the light has no such marginal, or the detector is of another
-        kind.
+        If PyTorch is not installed, the light has no such marginal, the detector is of another
+        kind, or there are several exposures.
 
     Warns
     -----
     InputWarning
         If the exposure has frame errors.
     """
+    if len(exposure.bracket) > 1:
+        raise InputError("exposure", "one, for gradients", f"{len(exposure.bracket)} (bracket)")
     if exposure.has_frame_errors:
         left_out = "bit planes, lost triggers and drift are left out of an exposure with gradients"
         warn_user("exposure", left_out, stacklevel=3)
     light = transport.torch(along, pixels=pixels, dense=dense, dtype=dtype, device=device)
     shutter = shutter or shutter_for(transport, camera, detector, exposure)
+    shutter = shutter.times(*exposure.bracket)
     panel = TorchPanel(projector, gamma).to(light.ambient.device)
     return TorchExposure(light, panel, detector, shutter, pixels, transport.shape)

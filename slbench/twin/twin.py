@@ -174,8 +174,8 @@ def make_twin(
     Raises
     ------
     InputError
-        For a capture without a rig, or of colour pictures; objects that are not where the points
-        are; hardware of another camera.
+        For a capture without a rig, of colour pictures or several exposures; objects that are not
+        where the points are; hardware of another camera.
 
     Warns
     -----
@@ -188,6 +188,7 @@ def make_twin(
     for one in (capture, *held_out):
         if one.sequence.crosstalk is not None or one.pictures is not None:
             raise InputError("twin", "grey frames", "colour pictures (crosstalk)")
+        one.one_exposure("twin")
     if not objects:
         raise InputError("twin: objects", "at least one", "none")
     artefacts = [one.artefact() for one in objects]

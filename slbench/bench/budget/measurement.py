@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from slbench.bench.budget.inputs import BASELINE, CERTIFICATE, EXPANSION, GAMMA, TEMPERATURE, Input
 from slbench.bench.budget.measurand import Measurand, measurand_of
+from slbench.capture.exposures import Bracket
 from slbench.cloud.triangulation import meet
 from slbench.core.errors import InputError, located
 from slbench.core.random import generator
@@ -28,7 +29,13 @@ from slbench.rig import Pose, Rig
 from slbench.rig.parameters import RIG_PARAMETERS, moved
 from slbench.scene.model import Scene
 from slbench.score.features import fit_features
-from slbench.simulate.expose import lighting, move_pictures, radiance_batches, shutter_for
+from slbench.simulate.expose import (
+    bracket_seed,
+    lighting,
+    move_pictures,
+    radiance_batches,
+    shutter_for,
+)
 from slbench.simulate.frame_errors import frame_errors
 from slbench.simulate.lights import Lights
 from slbench.simulate.reconstruct import joining_motion
@@ -103,6 +110,7 @@ class Measurement:
             self._shutter = shutter_for(
                 self._transport, scene.rig.camera, scene.detector, scene.exposure
             )
+        self._shutters = [self._shutter.times(factor) for factor in scene.exposure.bracket]
         # Only a feature's own uncertainty asks how errors go together.
         self._lines = any("uncertainty" in one.field for one in self.measurands)
         owners = {one.item for one in self.measurands}
@@ -245,14 +253,25 @@ class Measurement:
 
     def _frames(self, values: Mapping[str, Any]) -> NDArray[Any]:
         """Return frames (N, 1, P) in DN: rounded with noise, expected ones without."""
-        detector, (factor, time_s) = self._scene.detector, self._shutter
         radiance = self._radiance(values)
+        found = [self._exposed(radiance, values, k) for k in range(len(self._shutters))]
+        if len(found) == 1:
+            return found[0]
+        times = [shutter.time_s for shutter in self._shutters]
+        return Bracket.of(np.stack(found), times, self._scene.detector.saturation_dn).frames
+
+    def _exposed(
+        self, radiance: NDArray[np.float32], values: Mapping[str, Any], k: int
+    ) -> NDArray[Any]:
+        """Return frames (N, 1, P) at one of the exposures."""
+        detector, (factor, time_s) = self._scene.detector, self._shutters[k]
         pattern = values.get(PATTERN)
         if values.get(NOISE) is not None:
             if isinstance(detector, Detector):
                 uneven = {"seed": pattern % (1 << 32)} if pattern is not None else _EVEN
                 detector = replace(detector, **uneven)
-            return detector.expose(radiance, time_s, generator(values[NOISE]), True, factor)
+            rng = generator(bracket_seed(values[NOISE], k))
+            return detector.expose(radiance, time_s, rng, True, factor)
         photons = radiance.astype(np.float64) * factor
         if pattern is None:
             return np.asarray(detector.expected_dn(photons, time_s))

@@ -169,10 +169,11 @@ def metered(scene: Scene, transport: LightTransport) -> tuple[Scene, float]:
     full = [scene.detector.exposure_scale(one[lit], 1.0) for one, lit in seen if lit.any()]
     if not full:
         raise NothingLit("scene", "an object that the projector lights", "none")
-    level = min(shutter.photons / min(full), 1.0)
-    return replace(scene, exposure=replace(exposure, time_s=None, white_level=level)), (
-        shutter.time_s
-    )
+    shortest = min(exposure.bracket)  # whose level is a share of saturation
+    level = min(shortest * shutter.photons / min(full), 1.0)
+    multiples = tuple(factor / shortest for factor in exposure.bracket)
+    shares = replace(exposure, time_s=None, white_level=level, bracket=multiples)
+    return replace(scene, exposure=shares), shortest * shutter.time_s
 
 
 def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:

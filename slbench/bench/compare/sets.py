@@ -1,10 +1,10 @@
 """Pattern sets to compare: read, checked, and given equal frames or equal light.
 
 *Equal frames.*  Every set with fringes gets as many frames as the longest set has; frames that are
-channels of one picture count once.  Extra frames become further phase shifts of the last fringe
-set, which alone decides the noise of a coordinate whose fringe order is right: it falls with the
-root of that set's shifts, and with nothing else (:mod:`slbench.patterns.phase`).  The sets before
-it only have to find the order.
+channels of one picture count once, and every picture as often as it is exposed.  Extra frames
+become further phase shifts of the last fringe set, which alone decides the noise of a coordinate
+whose fringe order is right: it falls with the root of that set's shifts, and with nothing else
+(:mod:`slbench.patterns.phase`).  The sets before it only have to find the order.
 
 *Equal photons.*  Every set has the total exposure of the shortest one: a set with k times its
 frames exposes each for 1/k of the time.  The light falls, read noise and rounding stay.
@@ -21,6 +21,7 @@ from typing import Literal
 
 import numpy as np
 
+from slbench.capture.exposures import check_exposures
 from slbench.capture.stack import FusedCapture
 from slbench.core.errors import InputError, located
 from slbench.core.random import tagged_seed
@@ -28,6 +29,7 @@ from slbench.core.registry import quoted
 from slbench.core.resources import inside
 from slbench.core.show.display import brief
 from slbench.core.validation.values import checked
+from slbench.core.validation.wording import shown
 from slbench.patterns import (
     Axis,
     Decoder,
@@ -60,6 +62,9 @@ class PatternSet:
         As it is projected, further shifts included.
     exposure_share : float
         Exposure of a frame over that of the scene.
+    bracket : tuple of float, optional
+        Exposures of every picture, as factors (:class:`slbench.scene.model.Exposure`); None for the
+        scene's own.
     note : str
         What a reader must know of it.
     decoder : callable, optional
@@ -74,22 +79,35 @@ class PatternSet:
     note: str = ""
     decoder: Decoder | None = None
     response: Response | None = None
+    bracket: tuple[float, ...] | None = None
 
     __repr__ = brief
 
     @property
+    def times(self) -> int:
+        """How often every picture is taken."""
+        return len(self.bracket or (1.0,))
+
+    @property
     def frames(self) -> int:
-        """Frames of one scan."""
-        return self.sequence.n_frames
+        """Frames of one scan, those of all exposures."""
+        return self.sequence.n_frames * self.times
 
     @property
     def exposures(self) -> int:
         """Pictures of one scan, the channels of one counted once."""
         return -(-self.frames // self.sequence.channels)
 
+    @property
+    def light(self) -> float:
+        """Total exposure of one scan, in exposures of the scene."""
+        return self.exposures / self.times * sum(self.bracket or (1.0,))
+
     def of(self, scene: Scene) -> Scene:
         """Return the scene with these patterns and this exposure."""
         light = scene.exposure
+        if self.bracket is not None:
+            light = replace(light, bracket=self.bracket)
         if light.time_s is not None:
             light = replace(light, time_s=light.time_s * self.exposure_share)
         else:
@@ -140,7 +158,8 @@ def pattern_sets(
         As :func:`slbench.patterns.read_patterns` reads them; what is a set already stays.  Text may
         end in how it is decoded: by the user's own function, ``"1,10,50 | mine.py:decode"``, or
         with the projector's response taken out, ``"1,10,50 | gamma=2.2"`` and
-        ``"1,10,50 | response=curve.csv"``.
+        ``"1,10,50 | response=curve.csv"``; or in the exposures of every picture, as factors of the
+        scene's: ``"1,10,50 | bracket=0.25/1/4"``.
     scene : Scene
         Its panel, and the axes that its own patterns code.
     shifts : int
@@ -170,6 +189,8 @@ def pattern_sets(
             sets.append(one)
         else:
             sets.append(_read(one, scene, shifts, folder, allow_modules))
+        if sets[-1].bracket is None and len(scene.exposure.bracket) > 1:
+            sets[-1] = replace(sets[-1], bracket=scene.exposure.bracket)
         with located(f"set {sets[-1].name}"):
             _check(sets[-1], scene)
     names = [one.name for one in sets]
@@ -183,8 +204,8 @@ def pattern_sets(
         longest = max(one.exposures for one in sets)
         sets = [with_frames(one, longest) for one in sets]
     elif equal == "photons":
-        shortest = min(one.exposures for one in sets)
-        sets = [replace(one, exposure_share=shortest / one.exposures) for one in sets]
+        least = min(one.light for one in sets)
+        sets = [replace(one, exposure_share=least / one.light) for one in sets]
     for one in sets:
         with located(f"set {one.name}"):
             check_frame_errors(one.of(scene))
@@ -196,11 +217,13 @@ def _read(
 ) -> PatternSet:
     """Read a set, and how it is decoded behind a bar."""
     text, bar, behind = given.rpartition("|") if isinstance(given, str) else ("", "", "")
-    decoder, response, suffix = None, None, ""
+    decoder, response, bracket, suffix = None, None, None, ""
     if bar:
         where, behind = f"set {given}", behind.strip()
         key, sign, value = (one.strip() for one in behind.partition("="))
-        if sign:
+        if sign and key == "bracket":
+            bracket, suffix = _bracket(value, where), f"|bracket={''.join(value.split())}"
+        elif sign:
             response, suffix = _response(key, value, folder, where), f"|{key}={Path(value).name}"
         else:
             decoder = read_decoder(behind, folder, allow_modules, f"{where}: decoder")
@@ -213,7 +236,21 @@ def _read(
         folder=folder,
         allow_modules=allow_modules,
     )
-    return PatternSet(read.name + suffix, read.sequence, decoder=decoder, response=response)
+    return PatternSet(
+        read.name + suffix, read.sequence, decoder=decoder, response=response, bracket=bracket
+    )
+
+
+def _bracket(text: str, where: str) -> tuple[float, ...]:
+    """Return the exposures of a set, factors with a slash between."""
+    try:
+        factors = tuple(float(part) for part in text.split("/"))
+    except ValueError:
+        factors = ()
+    if not factors or not all(1e-9 <= one <= 1e9 for one in factors):
+        raise InputError(f"{where}: bracket", "factors > 0 such as 0.25/1/4", shown(text))
+    check_exposures(factors, f"{where}: bracket")
+    return factors
 
 
 def _response(key: str, value: str, folder: Path | None, where: str) -> Response:
@@ -222,8 +259,10 @@ def _response(key: str, value: str, folder: Path | None, where: str) -> Response
         with located(where):
             return Response.read(Path(value) if folder is None else inside(folder, value))
     if key != "gamma":
-        expected = "gamma=2.2, response=curve.csv or mine.py:decode behind the bar"
-        raise InputError(where, expected, quoted(key, ("gamma", "response")))
+        expected = (
+            "gamma=2.2, response=curve.csv, bracket=0.25/1/4 or mine.py:decode behind the bar"
+        )
+        raise InputError(where, expected, quoted(key, ("bracket", "gamma", "response")))
     try:
         return Response(float(value))
     except ValueError:
@@ -233,6 +272,7 @@ def _response(key: str, value: str, folder: Path | None, where: str) -> Response
 def _check(one: PatternSet, scene: Scene) -> None:
     """Refuse a set that cannot be shown or decoded, before any light is traced."""
     panel = scene.sequence.panel
+    one.of(scene)  # exposures that it cannot have
     if one.sequence.panel != panel:
         expected = f"patterns for the panel's {panel[0]} x {panel[1]} px"
         raise InputError("panel", expected, "{} x {} px".format(*one.sequence.panel))
@@ -252,7 +292,7 @@ def with_frames(given: PatternSet, frames: int) -> PatternSet:
     With two coded axes the further shifts are shared between their finest sets, the first axis
     taking the odd one.  A set without fringes keeps its frames, and its note says so.
     """
-    sequence, missing = given.sequence, frames - given.exposures
+    sequence, missing = given.sequence, (frames - given.exposures) // given.times
     if missing <= 0:
         return given
     if sequence.crosstalk is not None:

@@ -115,7 +115,7 @@ def view_board(capture: Capture, board: FreeBoard, name: str) -> BoardView:
         raise InputError(f"{name}: patterns", "codes along both axes of the panel, u and v", got)
     phase = capture.decode()
     lit = capture.sequence.lit_frame
-    picture = phase.mean if lit is None else capture.frames[lit]
+    picture = capture.evened(phase.mean if lit is None else capture.frames[lit])
     try:
         found = find_free_board(picture, board)
     except InputError as error:

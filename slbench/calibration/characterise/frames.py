@@ -56,11 +56,13 @@ def check_alike(captures: Mapping[str, Capture]) -> None:
     Raises
     ------
     InputError
-        Naming the folder.
+        Naming the folder; also for one of several exposures.
     """
     if not captures:
         raise InputError("characterise", "at least one capture", "none")
     (first, one), *others = captures.items()
+    for name, capture in captures.items():
+        capture.one_exposure(name)
     for name, other in others:
         for what, a, b in (
             ("frames of", one.frames.shape[1:][::-1], other.frames.shape[1:][::-1]),

@@ -116,7 +116,7 @@ def stage_view(
         raise InputError("patterns", "codes of the panel's columns (u)", got)
     decoded = capture.decode() if phase is None else phase
     lit = capture.sequence.lit_frame
-    found = detect_dots(decoded.mean if lit is None else capture.frames[lit])
+    found = detect_dots(capture.evened(decoded.mean if lit is None else capture.frames[lit]))
     places = np.asarray(dots, dtype=np.float64)
     numbers = (
         _of_a_whole_grid(found, places)

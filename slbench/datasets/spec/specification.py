@@ -316,6 +316,11 @@ def load(
     if "focus" in scene:
         expected = "no focus settings (a sample has one light transport)"
         raise InputError(f"{path.name}: scene.focus", expected, "some")
+    exposure = scene.get("exposure")
+    several = {"exposures_ms", "bracket"} & set(exposure if isinstance(exposure, dict) else ())
+    if several:
+        where = f"{path.name}: scene.exposure.{min(several)}"
+        raise InputError(where, "one exposure (a sample has one a picture)", "several")
     if "colour" in scene:
         expected = "no colour (a sample has the light transport of one band)"
         raise InputError(f"{path.name}: scene.colour", expected, "some")

@@ -348,6 +348,7 @@ def _check_repeats(
     first = captures[0]
     seen: dict[bytes, str] = {}
     for name, shot in zip(names, captures, strict=True):
+        shot.one_exposure(name)  # modulations are of one
         if shot.sequence != first.sequence:
             raise InputError(
                 name, f"the patterns of the first, {first.sequence.name}", shot.sequence.name

@@ -53,7 +53,13 @@ COORDINATE = {
 FILES: list[tuple[type, Mapping[str, Any]]] = [
     (
         SceneTables,
-        SCENE | {"focus": {"settings": 3}, "materials": {"white": {}}, "detector": {"seed": 1}},
+        SCENE
+        | {
+            "focus": {"settings": 3},
+            "materials": {"white": {}},
+            "detector": {"seed": 1},
+            "exposure": {"bracket": [0.25, 1.0]},
+        },
     ),
     (
         SceneTables,
@@ -71,7 +77,12 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
     ),
     (
         CaptureTable,
-        {"frames": ["000.png"], "patterns": {"panel": [64, 48]}, "noise": {"read_dn": 0.2}},
+        {
+            "frames": ["000.png"],
+            "patterns": {"panel": [64, 48]},
+            "noise": {"read_dn": 0.2},
+            "exposures_ms": [2.0, 8.0],
+        },
     ),
     (FolderTable, {"camera": "left", "projector": "main", "folder": "left-main"}),
     (_stack_table(()), {"captures": ["focus000", "focus001"], "camera_mm": [100.0, 200.0]}),
