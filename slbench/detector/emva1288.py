@@ -54,8 +54,8 @@ EXPANSION_VARIANCE_E2 = 100.0
 # Whole electrons are what a continuous variable is rounded to; rounding adds this to its variance
 # (W. F. Sheppard's correction).
 _ROUNDING_VARIANCE = 1.0 / 12.0
-# More than fits in any well, and what single precision can square.
-_MOST_E = 1e12
+# More than fits in any well by more than any offset, and what single precision can square.
+_MOST_E = 1e16
 
 #: Photons of a unit of radiance.  A watt is 10^18 a second, and a dim panel wants many seconds.
 _Scale = Annotated[float, FINITE, Interval(ge=1e-15, le=1e27)]

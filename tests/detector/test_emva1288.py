@@ -187,6 +187,16 @@ def test_a_full_well_that_meets_the_top_saturates_there(full_well_e):
     assert Detector(full_well_e=full_well_e).saturation_dn == 255
 
 
+@pytest.mark.parametrize("full_well_e", [1e12, 1e15])
+def test_a_saturated_pixel_reads_the_top_whatever_its_offset(full_well_e):
+    """The largest of wells, and offsets of a hundredth of them: three times the light fills all."""
+    detector = Detector(bit_depth=16, full_well_e=full_well_e, dsnu_e=0.01 * full_well_e)
+    photons = np.full((1, 20, 20), 3.0 * full_well_e / detector.quantum_efficiency)
+    frames = detector.expose(photons, 0.0, np.random.default_rng(0))
+    assert detector.fixed_pattern((20, 20))[1].min() < 0.0
+    assert (frames == detector.saturation_dn).all()
+
+
 def test_scale_turns_radiance_into_photons():
     radiance = np.random.default_rng(15).uniform(0, 3, (2, 60, 80))
     for noise in (True, False):
