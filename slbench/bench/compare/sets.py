@@ -272,10 +272,10 @@ def _response(key: str, value: str, folder: Path | None, where: str) -> Response
 def _check(one: PatternSet, scene: Scene) -> None:
     """Refuse a set that cannot be shown or decoded, before any light is traced."""
     panel = scene.sequence.panel
-    one.of(scene)  # exposures that it cannot have
     if one.sequence.panel != panel:
         expected = f"patterns for the panel's {panel[0]} x {panel[1]} px"
         raise InputError("panel", expected, "{} x {} px".format(*one.sequence.panel))
+    one.of(scene)  # exposures that it cannot have
     if one.decoder is None:
         one.sequence.runs()
         if one.response is not None:
