@@ -146,6 +146,15 @@ class Pose:
         return product(np.asarray(points, dtype=np.float64) - self.position, self.rotation)
 
     @property
+    def inverse(self) -> Self:
+        """The pose of the world in this frame."""
+        return type(self)(self.rotation.T, -self.rotation.T @ self.position)
+
+    def after(self, first: Pose) -> Self:
+        """Return the pose that maps as `first` and then as this one does."""
+        return type(self)(self.rotation @ first.rotation, self.to_world(first.position))
+
+    @property
     def origin_depth(self) -> float:
         """How far along its z the world's origin lies, mm: before a device where it is positive."""
         return float(-self.position @ self.rotation[:, 2])

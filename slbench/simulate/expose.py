@@ -5,7 +5,7 @@ Every frame is a sparse product and a noise draw.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -321,6 +321,25 @@ def shutter_for(
         For an absolute exposure through a pinhole, or where the projector lights nothing
         (:class:`NothingLit`).
     """
+    lit = (white.astype(np.float64)[white > dark] for white, dark in transport.whites())
+    return shutter_of(lit, camera, detector, exposure)
+
+
+def shutter_of(
+    lit: Iterable[NDArray[np.float64]],
+    camera: Camera,
+    detector: DetectorModel,
+    exposure: Exposure,
+) -> Shutter:
+    """Return the shutter by the radiance of lit pixels under the fully lit panel.
+
+    Parameters
+    ----------
+    lit : iterable of (n,) float
+        W / (mm^2 sr), of each channel; none is to saturate.
+    camera, detector, exposure
+        As for :func:`shutter_for`, whose errors it raises.
+    """
     time, per_second = exposure.time_s, None
     if time is not None or np.isfinite(camera.lens.f_number):
         # Photons per second and unit scene radiance; a pinhole has none, and says so.
@@ -330,12 +349,7 @@ def shutter_for(
         per_second = float(photons)
         if time is not None:
             return Shutter(per_second * time, time)
-    factors = []
-    for white, dark in transport.whites():  # no channel is to saturate
-        lit = white > dark
-        if np.any(lit):
-            seen = white.astype(np.float64)[lit]
-            factors.append(detector.exposure_scale(seen, exposure.white_level))
+    factors = [detector.exposure_scale(one, exposure.white_level) for one in lit if len(one)]
     if not factors:
         raise NothingLit("scene", "an object that the projector lights", "none")
     factor = min(factors)

@@ -5,10 +5,9 @@
 ``_1``, ``_2``, ..., distractors ``_d0``, ``_d1``, ...; a slot's columns and random streams end so.
 
 At rest, an object stands on a table in one of the poses in which its centre of mass is above its
-support, drawn by the probability that a fall ends there (``trimesh.poses``, by K. Goldberg et al.,
-"Part pose statistics: estimators and experiments", IEEE Trans. Robotics and Automation 15(5),
-1999).  It is turned at random and set down where it is clear of the others: the convex hulls of
-their outlines from above are apart by a gap.  Nothing lies on top of another object.
+support, drawn by the probability that a fall ends there (:mod:`slbench.objects.resting`).  It is
+turned at random and set down where it is clear of the others: the convex hulls of their outlines
+from above are apart by a gap.  Nothing lies on top of another object.
 """
 
 from __future__ import annotations
@@ -28,6 +27,7 @@ from slbench.core.random import generator
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import Coordinate, Measure, NotNegative
 from slbench.objects import Artefact, Mesh
+from slbench.objects.resting import stable_poses
 
 Array = NDArray[np.float64]
 
@@ -174,7 +174,8 @@ class Resting:
 
 def _turned(artefact: Artefact, rng: np.random.Generator) -> Array:
     """Return the rotation of a stable pose, drawn by its probability, and of a turn, (3, 3)."""
-    rotations, edges = _stable(artefact.mesh)
+    rotations, shares = stable_poses(artefact.mesh)
+    edges = np.cumsum(shares)
     if not len(edges):
         raise InputError("clutter", "a shape that stands on a table", artefact.name)
     which = int(np.searchsorted(edges, rng.random() * edges[-1], side="right"))
@@ -182,19 +183,6 @@ def _turned(artefact: Artefact, rng: np.random.Generator) -> Array:
     c, s = np.cos(angle), np.sin(angle)
     about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     return np.asarray(about @ rotations[min(which, len(edges) - 1)])
-
-
-@lru_cache(maxsize=64)  # meshes are equal only if they are the same
-def _stable(mesh: Mesh) -> tuple[Array, Array]:
-    """Return the rotations of a mesh's stable poses (n, 3, 3), and their probabilities summed."""
-    import trimesh
-
-    solid = mesh.as_trimesh
-    if not solid.is_volume:  # whose centre of mass is that of its hull
-        solid = solid.convex_hull
-    poses, shares = trimesh.poses.compute_stable_poses(solid)
-    kept = np.flatnonzero(shares > 0.0)
-    return np.asarray(poses)[kept, :3, :3], np.cumsum(shares[kept])
 
 
 @lru_cache(maxsize=64)

@@ -74,7 +74,7 @@ class Surface:
         solid = np.flatnonzero(length > 0.0)
         if not len(solid):
             raise InputError("mesh", "a face with an area", "none")
-        along = _morton_order(corners[solid].mean(axis=1))
+        along = morton_order(corners[solid].mean(axis=1))
         self._face = solid[along]
         self._corners = np.ascontiguousarray(corners[self._face])
         self._normals = normals[self._face] / length[self._face, np.newaxis]
@@ -112,7 +112,7 @@ class Surface:
         count = len(points)
         point, distance = np.empty((count, 3)), np.empty(count)
         face = np.empty(count, np.int32)
-        order = _morton_order(points)
+        order = morton_order(points)
         tree = (self._corners, self._normals, self._boxes, self._leaves)
         out = (point, distance, face, float(reach_mm))
         in_bands(lambda a, b: nearest(points, order, *tree, *out, a, b), count, _LEAST)
@@ -128,7 +128,7 @@ class Surface:
         return points, self._normals[chosen]
 
 
-def _morton_order(points: Array) -> NDArray[np.int64]:
+def morton_order(points: Array) -> NDArray[np.int64]:
     """Return an order in which points that follow each other are near each other."""
     if not len(points):
         return np.zeros(0, np.int64)

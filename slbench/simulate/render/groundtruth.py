@@ -8,8 +8,6 @@ meshes and devices, independent of the code that renders.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +16,7 @@ from slbench.scene.model import SceneObject
 from slbench.scene.truth import GroundTruth, Status
 from slbench.simulate.render.mitsuba import dr, mi
 from slbench.simulate.render.translate import geometry, shape_indices, shapes
+from slbench.simulate.render.ways import columns, free_view
 
 Array = NDArray[np.float64]
 
@@ -109,7 +108,7 @@ class _Rays:
             normal[lanes] = n * -np.sign(facing)[:, None]
         hit = ids >= 0
         panel = self.projector.project(point)
-        seen = self._seen(point, normal, hit)
+        seen = free_view(self.geometry, self.projector, point, normal, hit)
         status = np.full(ids.size, Status.MISSED, np.uint8)
         status[hit] = Status.SHADOWED
         status[seen] = Status.OUTSIDE
@@ -131,7 +130,7 @@ class _Rays:
         self, origins: Array, directions: Array
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return shape (-1: none) and triangle that each ray meets first."""
-        ray = mi.Ray3f(mi.Point3f(_columns(origins)), mi.Vector3f(_columns(directions)))
+        ray = mi.Ray3f(mi.Point3f(columns(origins)), mi.Vector3f(columns(directions)))
         # Rays beyond an invertible distortion are NaN: they meet nothing.
         valid = np.all(np.isfinite(directions), axis=-1)
         hit = self.geometry.ray_intersect_preliminary(ray, active=mi.Bool(valid))
@@ -142,22 +141,3 @@ class _Rays:
         for identifier, k in self.indices.items():
             which[instance == identifier] = k
         return which, np.where(which >= 0, hit.prim_index.numpy(), 0).astype(np.int64)
-
-    def _seen(self, point: Array, normal: Array, hit: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return a mask of points that face the projector's lens centre with a free view of it."""
-        source = self.projector.chief_origin(point)
-        facing = hit & (np.sum((source - point) * normal, axis=-1) > 0)
-        facing &= self.projector.pose.to_local(point)[:, 2] > 0
-        # Off the surface by more than single precision rounds, as Mitsuba does by itself.
-        scale = 1.0 + np.max(np.abs(np.nan_to_num(point)), axis=-1, keepdims=True)
-        start = point + normal * scale * 1e-5
-        toward = source - start
-        length = np.linalg.norm(toward, axis=-1)
-        ray = mi.Ray3f(mi.Point3f(_columns(start)), mi.Vector3f(_columns(toward / length[:, None])))
-        ray.maxt = mi.Float(np.nan_to_num(length).astype(np.float32))
-        blocked = self.geometry.ray_test(ray, active=mi.Bool(facing))
-        return facing & ~np.asarray(blocked.numpy(), dtype=bool)
-
-
-def _columns(vectors: Array) -> Any:
-    return np.ascontiguousarray(np.nan_to_num(vectors).T.astype(np.float32))

@@ -1,0 +1,85 @@
+"""What a scan measured of a part's surface, sample by sample, as a plan counts it.
+
+A sample is looked for at the pixel that it is seen by.  It is measured if a point was measured
+there that is as near to it as the pixel's own footprint on the surface is wide, with at most the
+deviation that is asked for.  What hides a sample has its point elsewhere; where that is not so, at
+an edge, as many samples are taken for measured as are missed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slbench.cloud.triangulation import PointCloud
+from slbench.rig import Camera, Pose
+from slbench.rig.pose import product
+from slbench.simulate.viewpoints.samples import SurfaceSamples
+
+Array = NDArray[np.float64]
+
+#: Half diagonals of a pixel's footprint within which its point is the sample's: on a plane 1 does.
+_FOOTPRINTS = 1.5
+#: Standard deviations of the point that are allowed beside it.
+_SIGMAS = 4.0
+
+
+def measured_samples(
+    samples: SurfaceSamples,
+    pose: Pose,
+    camera: Camera,
+    cloud: PointCloud,
+    points: Array,
+    usable: NDArray[np.bool_],
+) -> Array:
+    """Return the deviations with which a view measured the samples, (N,), mm; NaN where not.
+
+    Parameters
+    ----------
+    samples : SurfaceSamples
+        Of the part.
+    pose : Pose
+        Of the part in the view.
+    camera : Camera
+    cloud : PointCloud
+        Of the view: pixels and deviations.
+    points : (M, 3) float
+        Its points in the part's frame.
+    usable : (M,) bool
+        Points that count.
+    """
+    world, normals = pose.to_world(samples.points), product(samples.normals, pose.rotation.T)
+    pixel, jacobian = camera.project_with_jacobian(world)
+    toward = camera.chief_origin(world) - world
+    with np.errstate(invalid="ignore"):
+        seen = camera.contains(pixel) & (np.sum(toward * normals, axis=1) > 0.0)
+    found = np.full(len(samples), np.nan)
+    kept = np.flatnonzero(seen)
+    row = np.full(cloud.shape, -1, np.int64)
+    of_image = np.flatnonzero(usable)
+    u, v = cloud.pixels[of_image].T
+    row[v, u] = of_image
+    at = np.floor(pixel[kept] + 0.5).astype(np.int64)
+    point = row[at[:, 1], at[:, 0]]
+    kept, point = kept[point >= 0], point[point >= 0]
+    sigma = cloud.sigma_total_mm[point]
+    reach = _FOOTPRINTS * _half_diagonal(jacobian[kept], normals[kept]) + _SIGMAS * sigma
+    near = np.linalg.norm(points[point] - samples.points[kept], axis=1) <= reach
+    found[kept[near]] = sigma[near]
+    return found
+
+
+def _half_diagonal(jacobian: Array, normals: Array) -> Array:
+    """Return half the longer diagonal of a pixel's footprint on the surface, (n,), mm.
+
+    Parameters
+    ----------
+    jacobian : (n, 2, 3) float
+        Derivative of the pixel by the point.
+    normals : (n, 3) float
+    """
+    # Steps on the tangent plane that move the image by one pixel.
+    rows = np.concatenate((jacobian, normals[:, np.newaxis]), axis=1)
+    steps = np.linalg.inv(rows)[:, :, :2]
+    sums = np.linalg.norm(steps[..., 0] + steps[..., 1], axis=1)
+    return 0.5 * np.maximum(sums, np.linalg.norm(steps[..., 0] - steps[..., 1], axis=1))
