@@ -1,9 +1,11 @@
 """What a scan measured of a part's surface, sample by sample, as a plan counts it.
 
 A sample is looked for at the pixel that it is seen by.  It is measured if a point was measured
-there that is as near to it as the pixel's own footprint on the surface is wide, with at most the
-deviation that is asked for.  What hides a sample has its point elsewhere; where that is not so, at
-an edge, as many samples are taken for measured as are missed.
+there that is as near to it as the pixel's own footprint on the surface is wide, and as near to the
+plane of its face as the point's deviation and some of a pixel allow: a wall that is seen at a
+grazing angle is not measured by the points of what stands before it.  What hides a sample has its
+point elsewhere; where that is not so, at an edge, as many samples are taken for measured as are
+missed.
 """
 
 from __future__ import annotations
@@ -20,6 +22,9 @@ Array = NDArray[np.float64]
 
 #: Half diagonals of a pixel's footprint within which its point is the sample's: on a plane 1 does.
 _FOOTPRINTS = 1.5
+#: Pixels, seen squarely, by which the point may be off the plane of the sample's face: room for
+#: curvature and edges, less where a face is seen at a grazing angle.
+_OFF_PLANE = 0.5
 #: Standard deviations of the point that are allowed beside it.
 _SIGMAS = 4.0
 
@@ -63,23 +68,36 @@ def measured_samples(
     point = row[at[:, 1], at[:, 0]]
     kept, point = kept[point >= 0], point[point >= 0]
     sigma = cloud.sigma_total_mm[point]
-    reach = _FOOTPRINTS * _half_diagonal(jacobian[kept], normals[kept]) + _SIGMAS * sigma
-    near = np.linalg.norm(points[point] - samples.points[kept], axis=1) <= reach
+    across, square = _footprint(jacobian[kept], normals[kept])
+    off = points[point] - samples.points[kept]
+    away = np.abs(np.sum(off * samples.normals[kept], axis=1))
+    facing = np.sum(toward[kept] * normals[kept], axis=1) / np.linalg.norm(toward[kept], axis=1)
+    near = np.linalg.norm(off, axis=1) <= _FOOTPRINTS * across + _SIGMAS * sigma
+    pixel_size = square * np.sqrt(facing)
+    near &= away <= pixel_size * np.minimum(_OFF_PLANE, facing) + _SIGMAS * sigma * facing
     found[kept[near]] = sigma[near]
     return found
 
 
-def _half_diagonal(jacobian: Array, normals: Array) -> Array:
-    """Return half the longer diagonal of a pixel's footprint on the surface, (n,), mm.
+def _footprint(jacobian: Array, normals: Array) -> tuple[Array, Array]:
+    """Return what a pixel's footprint on the surface measures, mm.
 
     Parameters
     ----------
     jacobian : (n, 2, 3) float
         Derivative of the pixel by the point.
     normals : (n, 3) float
+
+    Returns
+    -------
+    across : (n,) float
+        Half its longer diagonal.
+    square : (n,) float
+        The side of a square of the same area.
     """
     # Steps on the tangent plane that move the image by one pixel.
     rows = np.concatenate((jacobian, normals[:, np.newaxis]), axis=1)
     steps = np.linalg.inv(rows)[:, :, :2]
-    sums = np.linalg.norm(steps[..., 0] + steps[..., 1], axis=1)
-    return 0.5 * np.maximum(sums, np.linalg.norm(steps[..., 0] - steps[..., 1], axis=1))
+    a, b = steps[..., 0], steps[..., 1]
+    across = 0.5 * np.maximum(np.linalg.norm(a + b, axis=1), np.linalg.norm(a - b, axis=1))
+    return across, np.sqrt(np.linalg.norm(np.cross(a, b), axis=1))

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from slbench.cloud.registration import Registration, register_views
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import InputError, located, warn_user
-from slbench.core.random import tagged_seed
+from slbench.core.random import Word, generator, tagged_seed
 from slbench.core.show.display import block, length, share
 from slbench.core.show.drawing import figure
 from slbench.rig import Pose
@@ -35,10 +35,36 @@ from slbench.simulate.viewpoints.views import Viewpoint, Viewpoints, alone, insi
 
 Array = NDArray[np.float64]
 
-#: Standard deviations beyond which a correction is not by noise, of some six a view.
-_SIGNIFICANT = 4.0
-#: Uncertainty of a known pose, unless said otherwise: that of a good stage.
-STAGE_MM, STAGE_RAD = 1.5e-3, 2e-4
+#: By how much registration has to lessen the residual of the overlaps to be believed: phase errors
+#: that do not repeat from view to view lessen it by some percent, whatever the poses are.
+_BETTER = 0.9
+#: Least uncertainty of a known pose that registration starts from, mm and rad.
+_LEAST_MM, _LEAST_RAD = 1.5e-3, 2e-4
+#: Neighbours further apart than this many usual distances have an edge between them.
+_EDGE = 4.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageErrors:
+    """How far a stage is off the poses it was told, in a simulation.
+
+    Parameters
+    ----------
+    position_mm, tilt_rad : float
+        Standard deviations along and about each axis.
+    """
+
+    position_mm: float = 0.0
+    tilt_rad: float = 0.0
+
+    def drawn(self, pose: Pose, rng: np.random.Generator) -> Pose:
+        """Return where the part is when the stage has been told a pose."""
+        from scipy.spatial.transform import Rotation
+
+        turn, shift = rng.normal(size=3) * self.tilt_rad, rng.normal(size=3) * self.position_mm
+        if not (turn.any() or shift.any()):
+            return pose
+        return Pose(Rotation.from_rotvec(turn).as_matrix() @ pose.rotation, pose.position + shift)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +74,7 @@ class _Part:
     cloud: PointCloud
     points: Array
     true: Array  #: NaN where no light falls
+    steady: NDArray[np.bool_]  #: away from edges of the picture
     smooth: NDArray[np.bool_]
     usable: NDArray[np.bool_]
     lit: int
@@ -207,6 +234,7 @@ def scan_views(
     samples: int | None = None,
     score: bool = True,
     refine: bool = True,
+    stage: StageErrors | None = None,
     on_view: Callable[[Viewpoint, Scan], None] | None = None,
     on_progress: Progress | None = None,
 ) -> ScannedViews:
@@ -222,6 +250,8 @@ def scan_views(
         As for :func:`slbench.simulate.scan.scan`, of each view.
     refine : bool
         False keeps the known poses.
+    stage : StageErrors, optional
+        Of the poses, drawn from the seed; none by default.
     on_view : callable, optional
         Called with each view and its scan, which is not kept.
     on_progress : callable, optional
@@ -245,8 +275,10 @@ def scan_views(
     _question(base, viewpoints, where)
     surface = sample_surface(base.objects[0].artefact.mesh, viewpoints.counting.samples)
     place, parts, measured = base.place, [], []
+    errors = stage or StageErrors()
     for k, view in enumerate(viewpoints.views):
-        one = replace(alone(scene, viewpoints.object, view.pose), name=f"{scene.name}-{view.name}")
+        pose = errors.drawn(view.pose, generator(seed, Word.STAGE, k))
+        one = replace(alone(scene, viewpoints.object, pose), name=f"{scene.name}-{view.name}")
         with located(f"view {view.name}"):
             result = scan(
                 one,
@@ -256,10 +288,11 @@ def scan_views(
                 score=score,
                 on_progress=_of_view(on_progress, k, len(viewpoints)),
             )
-        parts.append(_part(result, view.pose, place, viewpoints.counting.within_volume))
+        poses_known = (view.pose, pose, place)
+        parts.append(_part(result, *poses_known, viewpoints.counting.within_volume))
         if on_view:
             on_view(view, result)
-    poses, found, registered, why = _poses(parts, refine)
+    poses, found, registered, why = _poses(parts, refine, errors)
     for view, part, correction in zip(viewpoints.views, parts, poses, strict=True):
         points = correction.to_world(part.points)
         given = (part.cloud, points, part.usable)
@@ -299,8 +332,8 @@ def _of_view(report: Progress | None, k: int, count: int) -> Progress | None:
     return lambda stage, done: report(f"view {k + 1} of {count}: {stage}", done)
 
 
-def _part(result: Scan, pose: Pose, place: Pose, within_volume: bool) -> _Part:
-    """Return what is kept of a view's scan."""
+def _part(result: Scan, told: Pose, true_pose: Pose, place: Pose, within_volume: bool) -> _Part:
+    """Return what is kept of a view's scan: the part was told to be in a pose, and is in another."""
     cloud, truth = result.cloud, result.truth
     rows, columns = cloud.pixels[:, 1], cloud.pixels[:, 0]
     true = truth.point[rows, columns]
@@ -308,11 +341,12 @@ def _part(result: Scan, pose: Pose, place: Pose, within_volume: bool) -> _Part:
     usable = np.ones(len(cloud), np.bool_)
     if within_volume:
         usable = inside_volume(result.scene.rig, place, cloud.points)
-    true = np.where(lit[:, np.newaxis], pose.to_local(true), np.nan)
+    true = np.where(lit[:, np.newaxis], true_pose.to_local(true), np.nan)
     return _Part(
         cloud=cloud,
-        points=pose.to_local(cloud.points),
+        points=told.to_local(cloud.points),
         true=true,
+        steady=_steady(cloud),
         smooth=truth.smooth()[rows, columns],
         usable=usable,
         lit=int(np.count_nonzero(truth.lit)),
@@ -321,8 +355,25 @@ def _part(result: Scan, pose: Pose, place: Pose, within_volume: bool) -> _Part:
     )
 
 
+def _steady(cloud: PointCloud) -> NDArray[np.bool_]:
+    """Return a mask of points whose four neighbours in the picture are measured nearby, (M,).
+
+    What a pixel at an edge sees of two surfaces is on neither.
+    """
+    image = cloud.image(cloud.points)
+    apart = np.full((*cloud.shape, 4), np.inf)
+    across = np.linalg.norm(np.diff(image, axis=1), axis=2)
+    down = np.linalg.norm(np.diff(image, axis=0), axis=2)
+    apart[:, 1:, 0] = apart[:, :-1, 1] = across
+    apart[1:, :, 2] = apart[:-1, :, 3] = down
+    farthest = np.nan_to_num(apart, nan=np.inf).max(axis=2)
+    farthest = farthest[cloud.pixels[:, 1], cloud.pixels[:, 0]]
+    inner = farthest[np.isfinite(farthest)]
+    return farthest <= _EDGE * (np.median(inner) if inner.size else 0.0)
+
+
 def _poses(
-    parts: Sequence[_Part], refine: bool
+    parts: Sequence[_Part], refine: bool, stage: StageErrors
 ) -> tuple[list[Pose], Registration | None, bool, str]:
     """Return the corrections of the views' poses, and what was found about them."""
     known = [Pose() for _ in parts]
@@ -332,20 +383,20 @@ def _poses(
         return known, None, False, "known"
     try:
         found = register_views(
-            [part.points for part in parts],
+            [part.points[part.steady] for part in parts],
             np.zeros((len(parts), 3)),
-            stage_sigma_mm=STAGE_MM,
-            stage_sigma_rad=STAGE_RAD,
+            stage_sigma_mm=max(stage.position_mm, _LEAST_MM),
+            stage_sigma_rad=max(stage.tilt_rad, _LEAST_RAD),
         )
     except InputError as error:
         return known, None, False, f"known: the views do not hang together ({error.where})"
-    shift = float(np.max(np.linalg.norm(found.shifts_mm, axis=1)))
-    sure = float(np.max(np.abs(found.shifts_mm) / np.maximum(found.sd_mm, 1e-12)))
-    better = f"residual {length(found.rms_start_mm)}, registered {length(found.rms_mm)}"
-    if sure < _SIGNIFICANT or not found.rms_mm < found.rms_start_mm:
-        return known, found, False, f"known: corrections of up to {length(shift)} tell nothing"
-    text = f"registered: corrections of up to {length(shift)}, {better}"
-    return list(found.poses), found, True, text
+    shift = length(float(np.max(np.linalg.norm(found.shifts_mm, axis=1))))
+    rms = (
+        f"residual of the overlaps {length(found.rms_start_mm)}, registered {length(found.rms_mm)}"
+    )
+    if not found.rms_mm < _BETTER * found.rms_start_mm:
+        return known, found, False, f"known: registration would not help ({rms})"
+    return list(found.poses), found, True, f"registered: corrections of up to {shift}; {rms}"
 
 
 def _features(scene: Scene, points: Array, parts: Sequence[_Part]) -> list[FeatureScore]:
