@@ -23,13 +23,18 @@ from slbench.cli.common import (
     progress,
 )
 from slbench.cli.lazy import command
-from slbench.core.validation.types import Samples, Shifts
+from slbench.core.errors import InputError
+from slbench.core.validation.types import FINITE, Interval, Micrometres, Samples, Shifts
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from slbench.score.points import Score
     from slbench.simulate.scan import Scan, ScanScores
+
+
+#: A tilt of a stage, mrad.
+StageTilt = Annotated[float, FINITE, Interval(ge=0.0, le=100.0)]
 
 
 @command(
@@ -66,6 +71,18 @@ def scan(
     page: Annotated[
         Path | None, typer.Option("--report", help="Report to write too: one HTML page (.html).")
     ] = None,
+    views: Annotated[
+        Path | None, typer.Option(help="views.toml: scan its views of one part, and merge them.")
+    ] = None,
+    register: Annotated[
+        bool, typer.Option("--register/--known-poses", help="Register views where it helps.")
+    ] = True,
+    stage_um: Annotated[
+        Micrometres, typer.Option(help="By which views are off the poses told, each axis.")
+    ] = 0.0,
+    tilt_mrad: Annotated[
+        StageTilt, typer.Option(help="By which they are tilted, each axis.")
+    ] = 0.0,
     changes: SceneChanges = None,
     measured_with: MeasuredWith = None,
     align: Align = False,
@@ -90,6 +107,29 @@ def scan(
             patterns, steps, axes, allow_modules=allow_modules, names=("--steps", "--axes")
         )
     folder = out or Path("out") / loaded.name
+    if views is not None:
+        from slbench.cli.scan_views import scan_viewpoints
+
+        if page is not None:
+            raise InputError("--report", "none beside --views", page)
+        scan_viewpoints(
+            loaded,
+            views,
+            folder,
+            seed=seed,
+            noise=noise,
+            samples=spp,
+            score=score,
+            refine=register,
+            stage_um=stage_um,
+            tilt_mrad=tilt_mrad,
+            picture=picture,
+            as_json=as_json,
+        )
+        return
+    if stage_um or tilt_mrad or not register:
+        option = "--stage-um" if stage_um else "--tilt-mrad" if tilt_mrad else "--known-poses"
+        raise InputError(option, "--views beside it", "none")
     check_scan_folder(loaded, folder, "--out")
     if page is not None:
         from slbench.report.page import check_page_path

@@ -1,16 +1,17 @@
-"""``slbench design``: design of rigs and pattern sequences."""
+"""``slbench design``: design of rigs, pattern sequences and views."""
 
 from slbench.cli.lazy import Group
 
 group = Group(
     "design",
-    "Design rigs and pattern sequences.",
+    "Design rigs, pattern sequences and views.",
     {
         "Rigs": {
             "rig": "slbench.cli.design.rig:rig",
             "evaluate": "slbench.cli.design.evaluate:evaluate",
             "verify": "slbench.cli.design.verify:verify",
         },
+        "Views": {"views": "slbench.cli.design.views:views"},
         "Patterns": {
             "patterns": "slbench.cli.design.patterns:patterns",
             "noise": "slbench.cli.design.noise:noise",

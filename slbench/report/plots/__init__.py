@@ -23,4 +23,6 @@ DRAWERS: dict[str, str] = {
     "slbench.bench.terms.terms:Terms": "slbench.report.plots.terms:draw",
     "slbench.bench.diagnose.diagnosis:Diagnosis": "slbench.report.plots.diagnose:draw",
     "slbench.bench.sweep.sweep:Sweep": "slbench.report.plots.sweep:draw",
+    "slbench.design.views.plan:ViewPlan": "slbench.report.plots.views:draw_plan",
+    "slbench.simulate.viewpoints.scan:ScannedViews": "slbench.report.plots.views:draw_scanned",
 }

@@ -326,14 +326,14 @@ def scan_views(
 
 
 def _of_view(report: Progress | None, k: int, count: int) -> Progress | None:
-    """Return what reports the progress of one view of several."""
+    """Return what reports the progress of one view of several, which is that of its light."""
     if report is None:
         return None
-    return lambda stage, done: report(f"view {k + 1} of {count}: {stage}", done)
+    return lambda stage, done: report("views", (k + done) / count) if stage == "trace" else None
 
 
 def _part(result: Scan, told: Pose, true_pose: Pose, place: Pose, within_volume: bool) -> _Part:
-    """Return what is kept of a view's scan: the part was told to be in a pose, and is in another."""
+    """Return what is kept of a scan; the part was told to be in one pose and was in another."""
     cloud, truth = result.cloud, result.truth
     rows, columns = cloud.pixels[:, 1], cloud.pixels[:, 0]
     true = truth.point[rows, columns]
