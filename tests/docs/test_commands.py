@@ -44,6 +44,7 @@ REDUCED = {
     "calibrate run": "--z-steps 4 --y-steps 1 --spp 4",
     "design rig": "--evaluations 200",
     "design verify": "--spp 1 --count 3",
+    "design views": "--preview --candidates 24 --samples 1000",
     "design patterns --scene": "--preview --repeats 2 --scans 2",
     "design patterns --learn": "--steps 20 --scans 2",
     "design noise": "--preview --repeats 2 --heights 2 --max-fringes 4",

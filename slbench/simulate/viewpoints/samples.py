@@ -104,10 +104,11 @@ def patches_of(samples: SurfaceSamples, most: int) -> NDArray[np.int64]:
     low = samples.points.min(axis=0)
     size = float(np.ptp(samples.points, axis=0).max())
     # Cells grow until there are few enough: their number goes with the inverse square of the side.
-    cells, found = int(np.sqrt(most)) + 1, None
-    while found is None or (int(found.max()) >= most and cells > 1):
+    cells = int(np.sqrt(most)) + 1
+    while True:
         index = np.minimum((samples.points - low) / max(size, 1e-12) * cells, cells - 1)
         key = np.column_stack((index.astype(np.int64), facing))
         found = np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)
+        if cells == 1 or int(found.max()) < most:
+            return found.astype(np.int64)
         cells = max(1, min(cells - 1, int(cells * 0.9)))
-    return found.astype(np.int64)

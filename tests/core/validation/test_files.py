@@ -38,6 +38,7 @@ from slbench.scene.file import read_merged
 from slbench.scene.surfaces.bsdfs import bsdfs
 from slbench.scene.surfaces.textures import textures
 from slbench.scene.tables import SceneOfFile, SceneTables
+from slbench.simulate.viewpoints import views
 
 OBJECTS = {name: read_toml(resources.find("objects", name)) for name in resources.names("objects")}
 SCENE = read_merged(resources.find("scenes", "step-block"))
@@ -122,6 +123,18 @@ FILES: list[tuple[type, Mapping[str, Any]]] = [
         {"standard": "ball_bar", "clouds": ["a.ply", "b.ply"], "registered_by": "spheres"},
     ),
     (specification._Held, {"test": "length", "worst_um": 3.0, "u_um": 1.0}),
+    (
+        views._ViewsFile,
+        {
+            "scene": "plane",
+            "part": "brick",
+            "object": 1,
+            "max_std_um": 20.0,
+            "predicted_coverage": 0.5,
+            "views": [{"name": "view-01", "position_mm": [0.0, 0.0, 5.0]}],
+        },
+    ),
+    (views._View, {"name": "view-01", "position_mm": [0.0, 0.0, 5.0]}),
     (file._File, {"claim": [{"name": "flat"}]}),
     (file._Claim, {"name": "flat", "scene": "plane", "quantity": "plane.rms_mm", "max": 0.1}),
     (
