@@ -19,7 +19,6 @@ from slbench.design.views.seen import Frames
 from slbench.rig import Pose, Rig
 from slbench.scene.model import Scene
 from slbench.simulate.expose import shutter_of
-from slbench.simulate.render.lookout import Lookout
 from slbench.simulate.viewpoints.samples import SurfaceSamples
 from slbench.simulate.viewpoints.views import inside_volume, moved
 
@@ -73,6 +72,9 @@ class Predictor:
     def __init__(self, scene: Scene, samples: SurfaceSamples, within_volume: bool = True) -> None:
         self.scene, self.samples, self.within_volume = scene, samples, within_volume
         self.place = scene.place
+        # Mitsuba is needed from here on, and only here.
+        from slbench.simulate.render.lookout import Lookout
+
         self._frames = Frames(scene)
         # The part stays and the devices move about it: its tree of triangles is built once.
         part = replace(scene.objects[0], pose=Pose())
