@@ -535,11 +535,34 @@ def _agreeing(said: _Said, sigma_mm: Array, limit: float) -> tuple[Mask, float]:
     residual, slope, variance, good, _ = said
     with np.errstate(invalid="ignore"):
         deviation = np.sqrt(variance + (slope * sigma_mm[:, None]) ** 2)
-        size = np.abs(residual)
+        scale, agree = agreement(residual, deviation, good, limit)
+    return agree, scale
+
+
+def agreement(residual: Array, deviation: Array, good: Mask, limit: float) -> tuple[float, Mask]:
+    """Return what coordinates disagree by, and which of them agree.
+
+    Parameters
+    ----------
+    residual, deviation : (N, A) float
+        Differences of panel coordinates and the standard deviations that noise gives them, px.
+    good : (N,) bool
+        Which are to be considered.
+    limit : float
+        Standard deviations within which they agree.
+
+    Returns
+    -------
+    scale : float
+        Robust standard deviation of those that may agree, in units of noise; 1 for too few.
+    agree : (N,) bool
+        Within `limit` of it, or of noise where it is less, and no further than half a pixel off
+        but by noise.
+    """
+    size = np.abs(residual)
+    with np.errstate(invalid="ignore", divide="ignore"):
         near = good & (size <= np.maximum(limit * deviation, _COARSE_PX)).all(axis=1)
         scale = 1.0
         if np.count_nonzero(near) >= _LEAST:
-            ratio = size[near] / deviation[near]
-            scale = float(np.median(ratio)) / _MEDIAN
-        within = (size <= limit * max(scale, 1.0) * deviation).all(axis=1)
-    return near & within, scale
+            scale = float(np.median(size[near] / deviation[near])) / _MEDIAN
+        return scale, near & (size <= limit * max(scale, 1.0) * deviation).all(axis=1)
