@@ -28,7 +28,7 @@ own.  So :meth:`Captures.save` writes them: every folder is a whole capture too.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -128,6 +128,29 @@ class Captures:
     def cameras(self) -> tuple[str, ...]:
         """Names of the cameras, in the order of their captures."""
         return tuple(dict.fromkeys(pair.camera for pair in self.captures))
+
+    def of(
+        self, cameras: Sequence[str] | None = None, projectors: Sequence[str] | None = None
+    ) -> Captures:
+        """Return the captures of some cameras and projectors, in the order of their names.
+
+        Raises
+        ------
+        InputError
+            For a name that none has, and where no pair is left.
+        """
+        chosen = list(self.captures)
+        for k, (role, names) in enumerate((("cameras", cameras), ("projectors", projectors))):
+            known = list(dict.fromkeys(pair[k] for pair in self.captures))
+            for name in names or ():
+                if name not in known:
+                    raise InputError(role, f"of {', '.join(known)}", quoted(name, known))
+            if names is not None:
+                chosen = [pair for name in names for pair in chosen if pair[k] == name]
+        if not chosen:
+            wanted = " and ".join(", ".join(names) for names in (cameras, projectors) if names)
+            raise InputError("pairs", "at least one that was captured", f"none of {wanted}")
+        return Captures({pair: self.captures[pair] for pair in chosen}, self.rig)
 
     def with_rig(self, rig: Rig) -> Captures:
         """Return the captures with another rig of all devices."""
@@ -255,6 +278,12 @@ def read_captures(
     The function of :meth:`Captures.load`, which says what is raised.
     """
     return Captures.load(folder, allow_modules=allow_modules, allow_outside=allow_outside)
+
+
+def holds_pairs(folder: str | Path) -> bool:
+    """Return whether the manifest of a folder names several pairs."""
+    path = manifest_path(folder)
+    return path.is_file() and "pairs" in read_toml(path)
 
 
 def pair_name(pair: Pair) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -20,8 +21,12 @@ from slbench.cli.common import (
     read_response,
 )
 from slbench.cli.lazy import command
-from slbench.core.errors import InputError
-from slbench.core.validation.types import OrderResidual
+from slbench.core.errors import InputError, located
+from slbench.core.validation.types import Measure, OrderResidual
+
+if TYPE_CHECKING:
+    from slbench.cloud.together import DecodedRig
+    from slbench.patterns import Response
 
 
 @command("slbench decode out/step-block --out decoded")
@@ -57,6 +62,25 @@ def decode(
             help="Point of two coded axes: on the camera's ray, or nearest to both rays (thesis)."
         ),
     ] = "ray",
+    stereo: Annotated[
+        Literal["phase", "blocks"] | None,
+        typer.Option(
+            help="Match two cameras, by equal codes or by blocks of grey values; the projector "
+            "need not be calibrated."
+        ),
+    ] = None,
+    cameras: Annotated[
+        str | None, typer.Option(help="Of several cameras those that are used: left,right.")
+    ] = None,
+    projectors: Annotated[
+        str | None, typer.Option(help="Of several projectors those that are used.")
+    ] = None,
+    near: Annotated[
+        Measure | None, typer.Option(help="Least depth that blocks are searched at, mm.")
+    ] = None,
+    far: Annotated[
+        Measure | None, typer.Option(help="Largest depth that blocks are searched at, mm.")
+    ] = None,
     gamma: Gamma = None,
     response: ResponseFile = None,
     allow_modules: AllowModules = False,
@@ -65,13 +89,38 @@ def decode(
 ) -> None:
     """Decode frames from disk; triangulate where a rig is known.
 
-    The frames may be simulated or photographed.
+    The frames may be simulated or photographed.  Those of several cameras and projectors make one
+    cloud.
     """
     from slbench.capture.capture import Capture
+    from slbench.capture.captures import holds_pairs
     from slbench.cloud.decoded import DECODED_FOLDER, decode_capture
     from slbench.rig.opencv import read_rig
 
     target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
+    several: dict[str, Any] = {"stereo": stereo, "cameras": cameras, "projectors": projectors}
+    several |= {"near": near, "far": far}
+    if holds_pairs(folder):
+        if meeting != "ray":
+            raise InputError("--meeting", "ray, as several devices are triangulated", meeting)
+        limits = {"min_modulation": min_modulation, "max_order_residual": max_order_residual}
+        allowed = {"allow_modules": allow_modules, "allow_outside": allow_outside}
+        made = _decoded_together(
+            folder,
+            rig,
+            several,
+            limits,
+            decoder,
+            read_response(gamma, response),
+            allowed,
+            (target, page),
+        )
+        _write_together(made, target, {"folder": str(folder)} | several, page, picture, as_json)
+        return
+    for name, value in several.items():
+        if value is not None:
+            expected = "a capture.toml with [[pairs]] of several cameras beside it"
+            raise InputError(f"--{name}", expected, str(folder))
     DECODED_FOLDER.check(target, "--out")
     shots = Capture.load(folder, allow_modules=allow_modules, allow_outside=allow_outside)
     if rig is not None:
@@ -122,4 +171,87 @@ def decode(
     for name, value in decoded.rows():
         print(f"{name}: {value}")
     shown = page or (target / "summary.png" if picture else None)
+    print(f"Written to {target}" + (f": open {shown}" if shown else ""))
+
+
+def _decoded_together(
+    folder: Path,
+    rig: Path | None,
+    several: Mapping[str, Any],
+    limits: Mapping[str, float | None],
+    decoder: str | None,
+    straight: Response | None,
+    allowed: Mapping[str, bool],
+    outputs: tuple[Path, Path | None],
+) -> DecodedRig:
+    """Decode the captures of several pairs, for a folder and perhaps a page."""
+    from slbench.capture.captures import Captures
+    from slbench.cloud.together import decode_captures, folder_for
+    from slbench.patterns import read_decoder
+    from slbench.rig.opencv import read_rig
+
+    shots = Captures.load(folder, **allowed)
+    if rig is not None:
+        shots = shots.with_rig(read_rig(rig))
+    chosen = {name: several[name] for name in ("cameras", "projectors")}
+    for name, text in chosen.items():
+        with located(f"--{name}"):
+            names = None if text is None else [one.strip() for one in text.split(",")]
+            shots = shots.of(**{name: names})
+    target, page = outputs
+    folder_for(shots).check(target, "--out")
+    if page is not None:
+        from slbench.report.page import check_page_path
+
+        check_page_path(page)
+    if straight is not None:
+        own = {pair: replace(one, response=straight) for pair, one in shots.captures.items()}
+        shots = Captures(own, shots.rig)
+    depth = (several["near"], several["far"])
+    if (depth[0] is None) != (depth[1] is None):
+        raise InputError("--near, --far", "both or neither", "one of them")
+    if decoder is not None:
+        for name, limit in limits.items():
+            if limit is not None:
+                option = f"--{name.replace('_', '-')}"
+                raise InputError(option, "none with --decoder, which has its own limits", limit)
+    return decode_captures(
+        shots,
+        stereo=several["stereo"],
+        decoder=None
+        if decoder is None
+        else read_decoder(decoder, None, allowed["allow_modules"], "--decoder"),
+        depth_mm=None if depth[0] is None else depth,
+        where=folder,
+        **limits,
+    )
+
+
+def _write_together(
+    decoded: DecodedRig,
+    target: Path,
+    parameters: Mapping[str, Any],
+    page: Path | None,
+    picture: bool,
+    as_json: bool,
+) -> None:
+    """Write what several pairs were decoded to, and print it."""
+    files = {}
+    if picture and decoded.cloud is not None:
+        from slbench.core.show.drawing import write_figure
+
+        files["summary.png"] = partial(write_figure, decoded.cloud)
+    decoded.save(target, parameters, files)
+    if page is not None:
+        from slbench.report.page import write_page
+        from slbench.report.pages.decoded import decoded_rig_page
+
+        write_page(decoded_rig_page(decoded, parameters), page)
+    if as_json:
+        written = {"out": str(target)} | ({} if page is None else {"report": str(page)})
+        print_json(decoded.to_dict() | written)
+        return
+    for name, value in decoded.rows():
+        print(f"{name}: {value}")
+    shown = page or (target / "summary.png" if files else None)
     print(f"Written to {target}" + (f": open {shown}" if shown else ""))

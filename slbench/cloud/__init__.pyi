@@ -3,6 +3,7 @@
 from . import files as files
 from . import fits as fits
 from . import registration as registration
+from .blocks import match_blocks as match_blocks
 from .decoded import Decoded as Decoded
 from .decoded import decode_capture as decode_capture
 from .files.measured import MeasuredCloud as MeasuredCloud
@@ -12,5 +13,8 @@ from .joint import JointCloud as JointCloud
 from .joint import triangulate_jointly as triangulate_jointly
 from .registration.graph import Registration as Registration
 from .registration.graph import register_views as register_views
+from .stereo import triangulate_stereo as triangulate_stereo
+from .together import DecodedRig as DecodedRig
+from .together import decode_captures as decode_captures
 from .triangulation import PointCloud as PointCloud
 from .triangulation import triangulate as triangulate

@@ -384,14 +384,15 @@ def _refined(
             rest = 2.0 * var_r * (1.0 - alike) * count / np.maximum(count - 2.0, 1.0)
             sigma = np.sqrt(rest / g_g)
         usable = inside & np.isfinite(step) & np.isfinite(sigma)
-        found = mean + np.where(usable, np.clip(step, -_LONGEST_PX, _LONGEST_PX), 0.0)
+        move = np.clip(step, -_LONGEST_PX, _LONGEST_PX)
+        found = np.asarray(mean + np.where(usable, move, 0.0), np.float64)
     contrast = np.sqrt(np.maximum(var_r, 0.0))
     enough = contrast > _CONTRAST * float(np.nanstd(right)) if right.size else usable
     good = (
         usable
         & enough
         & (alike > _ALIKE)
-        & (np.abs(step) < 0.05)
+        & (np.abs(step) < _LONGEST_PX)
         & (np.abs(found - disparity) < 1.0)
     )
     result[good] = found[good]

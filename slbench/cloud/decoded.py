@@ -198,7 +198,19 @@ class Decoded:
         files : mapping of str to callable, optional
             What is to stand beside them: ``summary.png``, and what writes it.
         """
-        phase, cloud = self.phase, self.cloud
+        cloud = self.cloud
+        with DECODED_FOLDER.writing(folder, parameters, None) as temporary:
+            self.write_maps(temporary / "phase.exr")
+            if cloud:
+                fields = point_fields(cloud, self.grey)
+                write_ply(temporary / "cloud.ply", cloud.points, fields)
+            for name, write in (files or {}).items():
+                write(temporary / name)
+            write_json(temporary / "decode.json", self.to_dict())
+
+    def write_maps(self, path: Path) -> None:
+        """Write coordinates and what belongs to them as EXR, as :meth:`save` names them."""
+        phase = self.phase
         channels = {
             "modulation": phase.modulation,
             "mean": phase.mean,
@@ -212,14 +224,7 @@ class Decoded:
             },
         }
         single = {name: values.astype(np.float32) for name, values in channels.items()}
-        with DECODED_FOLDER.writing(folder, parameters, None) as temporary:
-            write_exr(temporary / "phase.exr", single)
-            if cloud:
-                fields = point_fields(cloud, self.grey)
-                write_ply(temporary / "cloud.ply", cloud.points, fields)
-            for name, write in (files or {}).items():
-                write(temporary / name)
-            write_json(temporary / "decode.json", self.to_dict())
+        write_exr(path, single)
 
 
 def grey_image(capture: Capture, phase: PhaseMap) -> NDArray[Any]:

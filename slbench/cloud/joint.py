@@ -100,6 +100,8 @@ class JointCloud(PointCloud):
     disagreement : mapping of (Pair, Pair) to float
         What the coordinates of two views differ by where they may be the same, in units of their
         noise (a robust standard deviation, 1 where noise is all).
+    agreeing : mapping of (Pair, Pair) to float
+        Share of the points that lie on what the other view measured, smooth surface, which agree.
     shared_mm2 : (N, 3, 3) float, optional
         Covariance of errors that views share.
     """
@@ -111,6 +113,7 @@ class JointCloud(PointCloud):
     chi_square: Array = field(default_factory=lambda: np.empty(0))
     places: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 0, 2), np.float32))
     disagreement: Mapping[tuple[Pair, Pair], float] = field(default_factory=dict)
+    agreeing: Mapping[tuple[Pair, Pair], float] = field(default_factory=dict)
     shared_mm2: Array | None = None
 
     def __repr__(self) -> str:
@@ -399,8 +402,8 @@ def triangulate_jointly(
         got = quoted("-".join(unknown[0]), names) if unknown else "none"
         raise InputError("phase maps", f"those of pairs of the rig: {', '.join(names)}", got)
     views = [_View(rig, pair, phases[pair]) for pair in order]
-    disagreement: dict[tuple[Pair, Pair], float] = {}
-    parts = [_points_of(views, i, limit, disagreement) for i in range(len(views))]
+    told: dict[tuple[Pair, Pair], tuple[float, float]] = {}
+    parts = [_points_of(views, i, limit, told) for i in range(len(views))]
     cameras = list(dict.fromkeys(pair.camera for pair in order))
     starts = np.cumsum([0, *(len(view.axes) for view in views)])
     total = sum(len(part.points) for part in parts)
@@ -447,7 +450,8 @@ def triangulate_jointly(
         rays=rays,
         chi_square=chi,
         places=places,
-        disagreement=disagreement,
+        disagreement={key: scale for key, (scale, _) in told.items()},
+        agreeing={key: agreeing for key, (_, agreeing) in told.items()},
     )
 
 
@@ -469,7 +473,7 @@ def _points_of(
     views: list[_View],
     i: int,
     limit: float,
-    disagreement: dict[tuple[Pair, Pair], float],
+    told: dict[tuple[Pair, Pair], tuple[float, float]],
 ) -> _Part:
     """Return the points of a pair's pixels that no earlier pair has."""
     view = views[i]
@@ -482,8 +486,8 @@ def _points_of(
         same = other.pair.camera == view.pair.camera
         said = other.residual(view.points, directions, view.pixels if same else None)
         agrees, scale = _agreeing(said, view.sigma_mm, limit)
-        if said[3].any():
-            disagreement[view.pair, other.pair] = scale
+        if (both := np.count_nonzero(said[3])) >= _LEAST:
+            told[view.pair, other.pair] = scale, np.count_nonzero(agrees) / both
         if j > i:
             agreeing[j] = agrees
             continue

@@ -27,6 +27,8 @@ from calibrations import (
 from focus_stacks import slanted_plane
 from pages import ALL, DOCS, FENCE, ROOT, named_commands, shown_commands, text_of
 from scenes_small import run_cli
+from several_photographed import SPECKLE
+from several_photographed import photograph as photograph_several
 from stage_views import stage_views
 
 from slbench.capture.capture import Capture
@@ -203,6 +205,8 @@ GIVEN = {
     "measured": bars,
     "mine.py": own_codes,
     "photographs": photographs,
+    "two-cameras": photograph_several,
+    "speckled": functools.partial(photograph_several, patterns=SPECKLE),
     "data": data_set,
     "views": folder_of_views,
     "stage.csv": lambda path: write_table(path, ("x_mm", "y_mm", "z_mm"), views().positions),

@@ -12,6 +12,7 @@ DRAWERS: dict[str, str] = {
     "slbench.capture.stack:FocusStack": "slbench.report.plots.stream:stack",
     "slbench.capture.fusion.photographs:FusedPhotographs": "slbench.report.plots.stream:fused",
     "slbench.patterns.decode:PhaseMap": "slbench.report.plots.stream:phase_map",
+    "slbench.cloud.joint:JointCloud": "slbench.report.plots.stream:joint_cloud",
     "slbench.cloud.triangulation:PointCloud": "slbench.report.plots.stream:cloud",
     "slbench.simulate.scan:Scan": "slbench.report.plots.scan:summary",
     "slbench.score.clouds.cloudscore:CloudScore": "slbench.report.plots.cloudscore:draw",

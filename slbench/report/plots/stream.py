@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slbench.capture.capture import Capture, ColourPictures
 from slbench.capture.fusion.photographs import FusedPhotographs
 from slbench.capture.stack import FocusStack
+from slbench.cloud.joint import JointCloud
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.colour import encode_srgb
 from slbench.patterns import Axis, PatternSequence, PhaseMap
@@ -208,6 +209,45 @@ def cloud(cloud: PointCloud) -> Figure:
     above.set_title(f"{len(cloud)} points from above")
     above.set_xlabel("x / mm")
     above.set_ylabel("y / mm")
+    return figure
+
+
+def joint_cloud(cloud: JointCloud) -> Figure:
+    """Draw the points of several devices from above: heights, whose rays meet, deviations.
+
+    Parameters
+    ----------
+    cloud : JointCloud
+
+    Returns
+    -------
+    matplotlib Figure
+    """
+    figure = Figure(figsize=(15.0, 4.2), dpi=100, layout="constrained")
+    order = _chosen(len(cloud), _POINTS)
+    order = order[np.argsort(cloud.points[order, 2])]
+    x, y, z = cloud.points[order].T
+    rays = cloud.rays[order].astype(float)
+    sigma = 1e3 * cloud.sigma_total_mm[order]
+    size = max(1.0, _DOTS / max(len(z), 1))
+    for axes, (title, values, colours, robust, unit) in zip(
+        figure.subplots(1, 3),
+        (
+            (f"Height z of {len(cloud)} points", z, "viridis", 0.5, "mm"),
+            ("Devices whose rays meet", rays, "cividis", 0.0, ""),
+            ("Predicted deviation", sigma, "magma", 2.0, "µm"),
+        ),
+        strict=True,
+    ):
+        low, high = np.percentile(values, [robust, 100.0 - robust]) if len(z) else (0.0, 1.0)
+        shown = axes.scatter(x, y, size, values, cmap=colours, vmin=low, vmax=high, linewidths=0.0)
+        axes.set_aspect("equal")
+        axes.set_facecolor("0.85")
+        axes.set_title(title)
+        axes.set_xlabel("x / mm")
+        axes.set_ylabel("y / mm")
+        ticks = np.unique(rays) if colours == "cividis" else None
+        figure.colorbar(shown, ax=axes, label=unit, ticks=ticks)
     return figure
 
 
