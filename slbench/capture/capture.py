@@ -25,8 +25,9 @@ beside ``capture.toml``, and the same manifest describes real photographs::
 ``exposures_ms = [2, 8, 32]`` at its top says that all frames were taken at each of several
 exposures and are listed exposure by exposure; every pixel takes those of the longest at which it
 is not saturated (:mod:`slbench.capture.exposures`).  ``response = 2.2`` is the projector's gamma,
-``response = "curve.csv"`` its measured curve.  What ``frames`` may be is said in
-:mod:`slbench.capture.reading`.
+``response = "curve.csv"`` its measured curve.  ``frame_period_ms = 10`` is the time from a picture to
+the next, where something moved, and ``rolling_shutter_ms`` how much later the last row is exposed
+than the first.  What ``frames`` may be is said in :mod:`slbench.capture.reading`.
 
 ``modules = ["my_codes.py"]``
 at its top names Python files beside it that add pattern codes (:mod:`slbench.core.modules`).
@@ -50,7 +51,15 @@ from slbench.core.io import OutputFolder, read_toml, write_png, write_tiff, writ
 from slbench.core.modules import load_modules, save_modules
 from slbench.core.show.display import block
 from slbench.core.show.drawing import figure
-from slbench.core.validation.types import BitDepth, Grey, GreyLevel, MinLen, Positive, Word
+from slbench.core.validation.types import (
+    BitDepth,
+    Grey,
+    GreyLevel,
+    MinLen,
+    NotNegative,
+    Positive,
+    Word,
+)
 from slbench.core.validation.values import Value, validated
 from slbench.patterns import (
     MIN_MODULATION_DN,
@@ -63,6 +72,7 @@ from slbench.patterns import (
 )
 from slbench.patterns.crosstalk import amplified, unmixed
 from slbench.rig import ALONE, Camera, Pair, Rig
+from slbench.rig.motion import FrameTiming
 from slbench.rig.opencv import read_rig, write_rig
 from slbench.rig.optics.response import RESPONSE_FILE
 from slbench.rig.parameters import ParameterCovariance, covariance_beside
@@ -93,6 +103,23 @@ class CaptureTable(Value):
     response: Positive | str | None = None
     camera: Word = ALONE.camera
     projector: Word = ALONE.projector
+    frame_period_ms: Positive | None = None
+    rolling_shutter_ms: NotNegative | None = None
+
+    def timing(self) -> FrameTiming | None:
+        """Return when pictures were taken, where it is stated.
+
+        Raises
+        ------
+        InputError
+            For a rolling shutter of pictures at no known times.
+        """
+        if self.frame_period_ms is None:
+            if self.rolling_shutter_ms is not None:
+                raise InputError("rolling_shutter_ms", "a frame_period_ms beside it", "none")
+            return None
+        rolling = 1e-3 * (self.rolling_shutter_ms or 0.0)
+        return FrameTiming(period_s=1e-3 * self.frame_period_ms, rolling_s=rolling)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,6 +212,8 @@ class Capture(Value):
     bracket : Bracket or None
         All frames of several exposures, where a pixel's are those of one.  They are saved in the
         frames' place, and dropped likewise.
+    timing : FrameTiming or None
+        When pictures were taken, where something moved; None where it is not known.
     """
 
     frames: NDArray[Any]
@@ -200,6 +229,7 @@ class Capture(Value):
     response: Response | None = None
     pictures: ColourPictures | None = None
     bracket: Bracket | None = None
+    timing: FrameTiming | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -396,6 +426,10 @@ class Capture(Value):
             manifest["exposures_ms"] = [one * 1e3 for one in self.bracket.times_s]
         elif self.exposure_s is not None:
             manifest["exposure_ms"] = self.exposure_s * 1e3
+        if self.timing is not None:
+            manifest["frame_period_ms"] = self.timing.period_s * 1e3
+            if self.timing.rolling_s:
+                manifest["rolling_shutter_ms"] = self.timing.rolling_s * 1e3
         if self.noise is not None:
             manifest["noise"] = asdict(self.noise)
         if self.response is not None:
@@ -522,6 +556,7 @@ class Capture(Value):
                 covariance,
                 _response(table.response, path.parent, allow_outside),
                 bracket=bracket,
+                timing=table.timing(),
             )
         if frames.dtype.kind == "f":
             _question_scale(where, capture)

@@ -243,6 +243,21 @@ class PatternSequence(Value):
         return max(sets, key=lambda p: (p.code.fringe_count(self.panel) or 0, p.index))
 
     @property
+    def middle_picture(self) -> float:
+        """The picture, from 0, at whose time points are measured where something moves.
+
+        The middle of those that decide the coordinates: the finest fringes of each axis, or all
+        that code an axis where one has no fringes.
+        """
+        placed = self.placed()
+        finest = [self.finest(axis) for axis in self.axes]
+        decide = [one for one in finest if one is not None]
+        if len(decide) < len(finest) or not decide:
+            decide = [one for one in placed if one.code.axes] or list(placed)
+        pictures = [np.array(one.frames) // self.channels for one in decide]
+        return float(np.mean([0.5 * (own[0] + own[-1]) for own in pictures]))
+
+    @property
     def spatial(self) -> bool:
         """Whether pixels are decoded by their neighbours in the picture."""
         return self.unwrap == "spatial" or any(part.spatial for part in self.parts)

@@ -368,6 +368,9 @@ def _build(
             file.exposure.trigger,
             file.exposure.drift,
             bracket,
+            _seconds(file.exposure.frame_period_ms),
+            1e-3 * file.exposure.rolling_shutter_ms,
+            _seconds(file.exposure.pulse_ms),
         ),
         light=_light(file, path, place_of(rig, scene_objects)),
         samples=file.render.samples,
@@ -377,7 +380,12 @@ def _build(
         if file.calibration is None
         else read_calibration(file.calibration, rig, path),
         colour=file.colour,
+        rig_motion=file.rig.motion,
     )
+
+
+def _seconds(milliseconds: float | None) -> float | None:
+    return None if milliseconds is None else milliseconds * 1e-3
 
 
 def _light(file: SceneTables, path: Path, place: Pose) -> Light:
@@ -484,7 +492,7 @@ def _object(
         rotation = Rotation.from_euler("XYZ", values.rotation_deg, degrees=True).as_matrix()
     pose = Pose(rotation, np.array(values.position_mm))
     with located(where):
-        return SceneObject(artefact, pose, material, by_part, values.distractor)
+        return SceneObject(artefact, pose, material, by_part, values.distractor, values.motion())
 
 
 def _material(own: Mapping[str, Material], name: str, where: str) -> Material:

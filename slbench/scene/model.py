@@ -36,6 +36,7 @@ from slbench.objects import Artefact
 from slbench.patterns import GivenPatterns, PatternSequence, PatternSource, read_patterns
 from slbench.patterns.crosstalk import UNMIXED
 from slbench.rig import Pose, Rig
+from slbench.rig.motion import FrameTiming, Motion, Moving, followed, seen_from
 from slbench.scene.calibration import Calibration, calibration_of
 from slbench.scene.colour import Colour
 from slbench.scene.environment import Environment, Radiance
@@ -61,6 +62,8 @@ class SceneObject(Value):
         :func:`slbench.scene.surfaces.materials.own_materials`.
     distractor : bool
         Whether it is not of interest: data sets annotate the others.
+    motion : Motion or None
+        During a scan, from the pose at its middle (:mod:`slbench.rig.motion`); None for none.
     """
 
     artefact: Artefact
@@ -68,6 +71,7 @@ class SceneObject(Value):
     material: Material = field(default_factory=Material)
     materials: Mapping[str, Material] = field(default_factory=dict)
     distractor: bool = False
+    motion: Motion | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -108,6 +112,19 @@ class SceneObject(Value):
     def middle(self) -> NDArray[np.float64]:
         """The middle of the box about the object, along its own axes, (3,), mm in the world."""
         return self.pose.to_world(self.artefact.mesh.bounds.mean(axis=0))
+
+    @property
+    def moves(self) -> bool:
+        """Whether the object moves during a scan."""
+        return self.motion is not None and not self.motion.is_rest
+
+    def moved_by(self, time_s: float) -> Pose:
+        """Return what has moved the object at a time, from the pose that it has at zero."""
+        return Pose() if self.motion is None else self.motion.at(time_s, self.middle)
+
+    def at(self, time_s: float) -> Self:
+        """Return the object where it is at a time, at rest."""
+        return replace(self, pose=followed(self.pose, self.moved_by(time_s)), motion=None)
 
     def __repr__(self) -> str:
         materials = (self.material, *self.materials.values())
@@ -169,6 +186,13 @@ class Exposure(Value):
     bracket : tuple of float
         Every picture is taken at so many exposures, which are the one that the rest says times
         these factors (:mod:`slbench.capture.exposures`); (1.0,) is that one alone.
+    frame_period_s : float or None
+        From a picture to the next, for what moves; None for as short as can be.
+    rolling_shutter_s : float
+        How much later the last row is exposed than the first.
+    pulse_s : float or None
+        How long of the exposure the projector shines on each row: over so long motion is smeared.
+        None for all of it.  The light is that of the whole exposure.
     """
 
     time_s: Positive | None = None
@@ -178,6 +202,9 @@ class Exposure(Value):
     trigger: Trigger | None = None
     drift: Drift | None = None
     bracket: Exposures = (1.0,)
+    frame_period_s: Positive | None = None
+    rolling_shutter_s: NotNegative = 0.0
+    pulse_s: Positive | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -189,6 +216,27 @@ class Exposure(Value):
     def single(self) -> Self:
         """Return the exposure that the bracket's factors are of, alone."""
         return replace(self, bracket=(1.0,))
+
+    def open_s(self, exposure_s: float) -> float:
+        """Return how long a row collects the projector's light."""
+        return exposure_s if self.pulse_s is None else self.pulse_s
+
+    def timing(self, exposure_s: float) -> FrameTiming:
+        """Return when pictures of an exposure are taken.
+
+        Each row of a picture sees its own pattern alone: the panel waits for the last row.
+
+        Raises
+        ------
+        InputError
+            For a period that is too short for that.
+        """
+        least = self.open_s(exposure_s) + self.rolling_shutter_s
+        period = least if self.frame_period_s is None else self.frame_period_s
+        if period < least * (1.0 - 1e-9):
+            expected = f"at least {1e3 * least:.4g} ms, exposure (or pulse) and rolling shutter"
+            raise InputError("exposure.frame_period_ms", expected, f"{1e3 * period:.4g}")
+        return FrameTiming(period_s=period, rolling_s=self.rolling_shutter_s)
 
     @property
     def has_frame_errors(self) -> bool:
@@ -232,6 +280,9 @@ class Scene(Value):
     colour : Colour or None
         Three bands of light; None for one.  Colour patterns that state no cross-talk of their own
         (:attr:`PatternSequence.assumed`) are taken apart by its own.
+    rig_motion : Motion or None
+        Of all devices during a scan, about the world's origin where it has no centre; points are
+        those of the rig at the middle of the scan.
     """
 
     name: str
@@ -246,9 +297,16 @@ class Scene(Value):
     focus: Focus | None = None
     calibration: Calibration | None = None
     colour: Colour | None = None
+    rig_motion: Motion | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.focus is not None and self.moves:
+            expected = "none with motion: every setting is a scan of its own"
+            raise InputError(f"scene {self.name}: focus", expected, f"{len(self.focus)} settings")
+        if len(self.exposure.bracket) > 1 and self.moves:
+            expected = "one exposure with motion, as pictures follow one another"
+            raise InputError("exposure.bracket", expected, f"{len(self.exposure.bracket)}")
         object.__setattr__(self, "sequence", _calibrated(self.sequence, self.colour))
         self._check_bracket()
         panel = (self.rig.projector.width, self.rig.projector.height)
@@ -400,6 +458,38 @@ class Scene(Value):
             light=self.light.dimmed(self.colour.ambient[k]),
             colour=None,
         )
+
+    @property
+    def moves(self) -> bool:
+        """Whether objects or the rig move during a scan."""
+        rig = self.rig_motion is not None and not self.rig_motion.is_rest
+        return rig or any(item.moves for item in self.objects)
+
+    def at(self, time_s: float) -> Self:
+        """Return the scene as it is at a time of the scan, at rest."""
+        by = Pose() if self.rig_motion is None else self.rig_motion.at(time_s)
+        devices = {
+            name: one.posed(followed(one.pose, by)) for name, one in self.rig.devices.items()
+        }
+        return replace(
+            self,
+            rig=self.rig.having(**devices) if self.rig_motion is not None else self.rig,
+            objects=tuple(item.at(time_s) for item in self.objects),
+            rig_motion=None,
+        )
+
+    def at_rest(self) -> Self:
+        """Return the scene as it is in the middle of a scan, at rest."""
+        return self.at(0.0) if self.moves else self
+
+    def path_of(self, item: SceneObject) -> Moving:
+        """Return the motion of an object as the rig sees it."""
+
+        def path(time_s: float) -> Pose:
+            rig = Pose() if self.rig_motion is None else self.rig_motion.at(time_s)
+            return seen_from(item.moved_by(time_s), rig)
+
+        return path
 
     @property
     def place(self) -> Pose:

@@ -36,6 +36,7 @@ from slbench.core.validation.types import (
 )
 from slbench.patterns.given import PatternsTable
 from slbench.rig import Pose, Rig
+from slbench.rig.motion import Motion
 from slbench.rig.optics.response import ResponseCurve
 from slbench.scene.colour import Colour
 from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
@@ -135,6 +136,7 @@ class RigTable(Parameters):
     projector: PlaceTable | None = None
     file: str | None = None
     volume_mm: tuple[Measure, Measure, Measure] | None = None
+    motion: Motion | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> RigTable:
@@ -177,6 +179,18 @@ class ObjectTable(Parameters):
     material: str | None = None
     materials: dict[str, str] = Field(default_factory=dict)
     distractor: bool = False
+    velocity_mm_per_s: Vector = (0.0, 0.0, 0.0)
+    rotation_deg_per_s: Vector = (0.0, 0.0, 0.0)
+    rotation_centre_mm: Vector | None = None
+
+    def motion(self) -> Motion | None:
+        """Return how the object moves; None where it does not."""
+        found = Motion(
+            velocity_mm_per_s=self.velocity_mm_per_s,
+            rotation_deg_per_s=self.rotation_deg_per_s,
+            centre_mm=self.rotation_centre_mm,
+        )
+        return None if found.is_rest else found
 
     @model_validator(mode="after")
     def _one_shape(self) -> ObjectTable:
@@ -264,6 +278,9 @@ class ExposureTable(Parameters):
     bit_planes: BitPlanesTable | None = None
     trigger: Trigger | None = None
     drift: Drift | None = None
+    frame_period_ms: Measure | None = None
+    rolling_shutter_ms: NotNegative = 0.0
+    pulse_ms: Measure | None = None
 
     @model_validator(mode="after")
     def _one_way(self) -> ExposureTable:
@@ -478,4 +495,4 @@ def tables_of(content: Mapping[str, Any]) -> type[SceneTables]:
     """Return the model of a scene's content: of a rig that is a file's, or described in it."""
     rig = content.get("rig")
     keys = set(rig) if isinstance(rig, dict) else set()
-    return SceneOfFile if "file" in keys <= {"file", "volume_mm"} else SceneTables
+    return SceneOfFile if "file" in keys <= {"file", "volume_mm", "motion"} else SceneTables

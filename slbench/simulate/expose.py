@@ -28,6 +28,7 @@ from slbench.scene.doubts import unlit
 from slbench.scene.model import Exposure, Scene
 from slbench.simulate.colour import ColourTransport, exposed, noise_of
 from slbench.simulate.frame_errors import FrameErrors, frame_errors
+from slbench.simulate.moving import Batch, MovingLight
 from slbench.simulate.transport import LightTransport
 
 #: Exposure time that the dark signal is computed with where the light's power is unknown (a
@@ -86,6 +87,7 @@ def capture(
     seed: int = 0,
     noise: bool = True,
     shutter: Shutter | None = None,
+    moving: MovingLight | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Capture:
     """Expose the frames of patterns.
@@ -105,6 +107,8 @@ def capture(
         False: the expected frames, rounded once, without vibration and random frame errors.
     shutter : Shutter, optional
         Where another transport of the scene sets it (:func:`shutter_for`).
+    moving : MovingLight, optional
+        Of a scene that moves; the transport, of its middle, then sets the exposure alone.
     on_progress : callable, optional
         Called with the finished fraction.
 
@@ -145,7 +149,15 @@ def capture(
         colour = transport.colour
         values = np.empty((n_pictures, *transport.shape, len(BANDS)), dtype)
         streams = rng.spawn(len(BANDS))
-        for indices, seen in _picture_batches(transport, sequence, rig.projector, errors=errors):
+
+        def in_colour(light: Any, pictures: Sequence[int] | None = None) -> Any:
+            given = light, sequence, rig.projector
+            return _picture_batches(*given, errors=errors, pictures=pictures)
+
+        lit = in_colour(transport)
+        if moving is not None:
+            lit = moving.batches(sequence, exposure_s, errors, in_colour)
+        for indices, seen in lit:
             if moves is not None:
                 for channel in seen:
                     move_pictures(channel, moves[indices])
@@ -159,7 +171,14 @@ def capture(
         model = noise_of(colour, detector, pictures.channels) if noise else quiet
     else:
         frames = np.empty((sequence.n_frames, *transport.shape), dtype)
-        for indices, radiance in radiance_batches(transport, sequence, rig.projector, errors):
+
+        def relit(light: LightTransport, pictures: Sequence[int] | None = None) -> Iterator[Batch]:
+            return radiance_batches(light, sequence, rig.projector, errors, pictures)
+
+        lit = relit(transport)
+        if moving is not None:
+            lit = moving.batches(sequence, exposure_s, errors, relit)
+        for indices, radiance in lit:
             if moves is not None:
                 move_pictures(radiance, moves[indices // sequence.channels])
             frames[indices] = detector.expose(radiance, exposure_s, rng, noise, factor)
@@ -177,6 +196,7 @@ def capture(
         detector.saturation_dn,
         pair=rig.only,
         pictures=pictures,
+        timing=None if moving is None else moving.timing(exposure_s),
     )
 
 
@@ -185,27 +205,31 @@ def radiance_batches(
     sequence: PatternSequence,
     projector: Projector,
     errors: FrameErrors | None = None,
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
+    pictures: Sequence[int] | None = None,
+) -> Iterator[Batch]:
     """Yield frame indices and their radiance images, a bounded number at a time.
 
-    In colour they are what the channels see by which the frames are decoded.
+    In colour they are what the channels see by which the frames are decoded.  `pictures` are those
+    that are wanted; all by default.
     """
     if isinstance(transport, ColourTransport):
         packed = sequence.channels > 1
         wanted = range(len(BANDS)) if packed else (transport.colour.decoded,)
-        given = transport, sequence, projector, tuple(wanted), errors
-        for pictures, seen in _picture_batches(*given):
-            indices = (pictures[:, np.newaxis] * len(wanted) + np.arange(len(wanted))).ravel()
+        given = transport, sequence, projector, tuple(wanted), errors, pictures
+        for shown, seen in _picture_batches(*given):
+            indices = (shown[:, np.newaxis] * len(wanted) + np.arange(len(wanted))).ravel()
             yield indices, seen.swapaxes(0, 1).reshape(-1, *transport.shape)
         return
     for along in sequence.variations:
         indices = sequence.frames_along(along)
+        if pictures is not None:
+            indices = indices[np.isin(indices // sequence.channels, pictures)]
         for part in transport.batches(len(indices), along=along):
             chosen = indices[part]
-            pictures = chosen // sequence.channels
-            panel = _emitted(sequence, chosen, along, projector, errors, pictures)
+            own = chosen // sequence.channels
+            panel = _emitted(sequence, chosen, along, projector, errors, own)
             radiance = transport.relight(panel, along)
-            for k, (frame, picture) in enumerate(zip(chosen, pictures, strict=True)):
+            for k, (frame, picture) in enumerate(zip(chosen, own, strict=True)):
                 if errors is not None and errors.is_other(picture):
                     channel = int(frame % sequence.channels)
                     parts = transport, sequence, projector, errors
@@ -242,10 +266,11 @@ def _picture_batches(
     projector: Projector,
     channels: Sequence[int] = (0, 1, 2),
     errors: FrameErrors | None = None,
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.float32]]]:
+    pictures: Sequence[int] | None = None,
+) -> Iterator[Batch]:
     """Yield indices of pictures in colour (n,) and what channels see of them, (channels, n, V, U).
 
-    A grey pattern is shown by all three primaries.
+    A grey pattern is shown by all three primaries.  `pictures` are those that are wanted.
     """
     count = sequence.channels
 
@@ -258,15 +283,17 @@ def _picture_batches(
         return transport.seen(primaries, along, channels)
 
     for along in sequence.variations:
-        pictures = np.unique(sequence.frames_along(along) // count)
-        for part in transport.batches(len(pictures), _COLOUR_BYTES, along=along):
-            chosen = pictures[part]
+        own = np.unique(sequence.frames_along(along) // count)
+        if pictures is not None:
+            own = own[np.isin(own, pictures)]
+        for part in transport.batches(len(own), _COLOUR_BYTES, along=along):
+            chosen = own[part]
             found = seen(chosen, chosen, along)
             for k, picture in enumerate(chosen):
                 if errors is not None and errors.is_other(picture):
-                    own = chosen[k : k + 1]
+                    at = chosen[k : k + 1]
                     found[:, k] = sum(
-                        share * seen(np.array([one]), own, _variation(sequence, one * count))
+                        share * seen(np.array([one]), at, _variation(sequence, one * count))
                         for one, share in errors.seen_in(picture)
                     )[:, 0]
             yield chosen, found

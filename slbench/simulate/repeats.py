@@ -23,7 +23,7 @@ from slbench.scene.model import Scene, SceneObject
 from slbench.scene.surfaces.materials import PRESETS
 from slbench.simulate.expose import lighting, radiance_batches, shutter_for
 from slbench.simulate.floors import fused_radiance, halves
-from slbench.simulate.stack import capture_stack, check_frame_errors
+from slbench.simulate.stack import capture_stack, check_frame_errors, moving_light
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
@@ -198,9 +198,12 @@ def _frames(
     """Yield the frames of each repeat at the pixels, (N, P)."""
     # What moves whole images, or fills a mosaic from neighbours.
     light = scene.exposure
-    if light.vibration_px > 0.0 or light.has_frame_errors or scene.colour is not None:
+    moving = moving_light(scene, seed)
+    whole = light.vibration_px > 0.0 or light.has_frame_errors or scene.colour is not None
+    if whole or moving is not None:
         for r in range(repeats):
-            (shots,) = capture_stack(scene, (transport,), seed=tagged_seed(seed, r)).captures
+            own = tagged_seed(seed, r)
+            (shots,) = capture_stack(scene, (transport,), seed=own, moving=moving).captures
             yield shots.frames.reshape(len(shots.frames), -1)[:, pixels]
         return
     with lighting(scene):

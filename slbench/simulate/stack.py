@@ -22,6 +22,7 @@ from slbench.scene.model import Scene
 from slbench.simulate.colour import ColourTransport
 from slbench.simulate.expose import Shutter, capture, lighting, shutter_for
 from slbench.simulate.frame_errors import frame_errors
+from slbench.simulate.moving import MovingLight, check_motion
 from slbench.simulate.transport import LightTransport, Marginal
 
 
@@ -33,14 +34,15 @@ def with_lit_frame(sequence: PatternSequence) -> PatternSequence:
 
 
 def check_frame_errors(scene: Scene) -> None:
-    """Check that a scene's frame errors can be, before light is traced.
+    """Check that a scene's frame errors and its motion can be, before light is traced.
 
     Raises
     ------
     InputError
         For a lost trigger of a picture that there is not, a lamp with less than no light, and a
-        panel's period where the exposure time is not known.
+        panel's period or motion where the exposure time is not known.
     """
+    check_motion(scene)
     exposure, alone = scene.exposure, scene.focus is None
     sequence = scene.sequence if alone else with_lit_frame(scene.sequence)
     pictures = -(-sequence.n_frames // sequence.channels)
@@ -144,12 +146,20 @@ def _coloured(
     return ColourTransport.of([light[distinct.index(key)] for key in keys], colour)
 
 
+def moving_light(scene: Scene, seed: int = 0) -> MovingLight | None:
+    """Return the light of a scene that moves, by samples of a seed; None of one that does not."""
+    if not scene.moves:
+        return None
+    return MovingLight(scene, lambda still, axes: _traced(still, 0, axes, seed))
+
+
 def capture_stack(
     scene: Scene,
     transports: Sequence[LightTransport] | None = None,
     *,
     seed: int = 0,
     noise: bool = True,
+    moving: MovingLight | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> FocusStack:
     """Capture a scene at each of its focus settings; once where it has none.
@@ -165,6 +175,9 @@ def capture_stack(
         Of the Monte Carlo samples, the detector's temporal noise and vibration.
     noise : bool
         False leaves out the detector's noise and vibration; rounding stays.
+    moving : MovingLight, optional
+        Of a scene that moves, for captures that share it (:func:`moving_light`); of the seed by
+        default.
     on_progress : callable, optional
         Called with the finished fraction.
 
@@ -172,6 +185,7 @@ def capture_stack(
     -------
     FocusStack
     """
+    moving = moving or moving_light(scene, seed)
     alone = scene.focus is None
     sequence = scene.sequence if alone else with_lit_frame(scene.sequence)
     rigs, detector, exposure = scene.rigs, scene.detector, scene.exposure
@@ -196,6 +210,7 @@ def capture_stack(
             seed=setting_seed(seed, None if alone else k),
             noise=noise,
             shutter=shutter,
+            moving=moving,
             on_progress=progress,
         )
     return FocusStack([captures[k] for k in range(len(rigs))], scene.focus)

@@ -67,9 +67,9 @@ class Measurement:
     Raises
     ------
     InputError
-        For a scene with focus settings, a calibration model, a mosaic or frames packed in pictures
-        in colour, a quantity that is not one of a feature of the scene, and an offset, which is in
-        mm, of what is not.
+        For a scene with focus settings or motion, a calibration model, a mosaic or frames packed in
+        pictures in colour, a quantity that is not one of a feature of the scene, and an offset,
+        which is in mm, of what is not.
     """
 
     def __init__(
@@ -83,6 +83,8 @@ class Measurement:
         where = f"scene {scene.name}"
         if scene.focus is not None:
             raise InputError(f"{where}: focus", "none: draws are of single pictures", "settings")
+        if scene.moves:
+            raise InputError(where, "nothing that moves: draws are of one light", "motion")
         if scene.calibration is not None and scene.calibration.model is not None:
             raise InputError(f"{where}: calibration", "a rig to measure with", "a model")
         if scene.colour is not None:

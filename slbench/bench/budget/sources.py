@@ -25,6 +25,7 @@ from slbench.scene.model import Exposure, Light, Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.expose import NothingLit, lighting, shutter_for
 from slbench.simulate.lights import Lights
+from slbench.simulate.moving import still
 from slbench.simulate.transport import LightTransport, Marginal
 
 Progress = Callable[[str, float], None]
@@ -95,6 +96,7 @@ def ideal(scene: Scene, *, lenses: bool = False) -> Scene:
     if not lenses:
         camera, projector = pinhole(camera), pinhole(projector)
     real = scene.detector if isinstance(scene.detector, Detector) else Detector()
+    scene = still(scene)
     return replace(
         scene,
         rig=scene.rig.having(camera=camera, projector=projector.linear()),
@@ -152,6 +154,17 @@ def shown(base: Scene, **changes: Any) -> Scene:
 def moving(base: Scene, vibration_px: float) -> Scene:
     """Return an ideal scene that vibrates."""
     return _exposed(base, vibration_px=vibration_px)
+
+
+def in_motion(base: Scene, scene: Scene, time_s: float) -> Scene:
+    """Return an ideal scene with the motion of another, whose exposure lasts `time_s`."""
+    own = scene.exposure
+    return _exposed(
+        replace(base, objects=scene.objects, rig_motion=scene.rig_motion),
+        frame_period_s=own.timing(time_s).period_s,
+        rolling_shutter_s=own.rolling_shutter_s,
+        pulse_s=own.open_s(time_s),
+    )
 
 
 def metered(scene: Scene, transport: LightTransport) -> tuple[Scene, float]:
@@ -258,6 +271,8 @@ def sources_of(scene: Scene, time_s: float, repeats: int) -> list[Source]:
         name = f"vibration, {scene.exposure.vibration_px:g} px"
         shaken = moving(lit, scene.exposure.vibration_px)
         found.append(Source(name, "random", shaken, repeats * VIBRATION_REPEATS))
+    if scene.moves:
+        found.append(Source("motion", "steady", in_motion(base, scene, time_s)))
     return [*found, *_frame_errors(scene.exposure, time_s, (base, coarse, lit), rounding, repeats)]
 
 

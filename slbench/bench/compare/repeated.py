@@ -36,7 +36,7 @@ from slbench.scene.truth import GroundTruth
 from slbench.score.features import StepScore, fit_features
 from slbench.simulate.floors import halves, noise_free_coordinates, phase_map
 from slbench.simulate.reconstruct import calibration_doubts, reconstruct
-from slbench.simulate.stack import capture_stack
+from slbench.simulate.stack import capture_stack, moving_light
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
@@ -152,10 +152,11 @@ def scan_repeats(
     some = slice(None, None, -(-len(pixels) // _SOME_PIXELS) or 1)
     shakes = scene.exposure.vibration_px > 0.0
     followed: list[Array] = []
+    moving = moving_light(patterned, seed)
     for r in range(repeats):
         clock = [time.perf_counter()]
         own = given.seed(seed, r)
-        stack = capture_stack(patterned, transports, seed=own)
+        stack = capture_stack(patterned, transports, seed=own, moving=moving)
         clock.append(time.perf_counter())
         fused = stack.fuse(weights)
         shots, phase, weighed = fused.capture, given.decode(fused), fused.weights

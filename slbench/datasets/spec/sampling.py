@@ -403,6 +403,9 @@ def _problem(
             check_frame_errors(patterns.of(scene, folder))
     except InputError as error:
         return error
+    if scene.moves:
+        expected = "nothing that moves (a sample has one light transport)"
+        raise InputError(f"scene {scene.name}", expected, "a velocity or rotation")
     if specification.constraints.inside_volume and outside_volume(scene, drawn.wanted):
         return _OUTSIDE
     return None

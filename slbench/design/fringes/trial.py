@@ -43,7 +43,7 @@ from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.simulate.floors import ordinary_rms, rms
 from slbench.simulate.repeats import check_repeats, noise_free_waves, plate_scene, repeated_phases
-from slbench.simulate.stack import capture_stack, check_frame_errors, traced
+from slbench.simulate.stack import capture_stack, check_frame_errors, moving_light, traced
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
@@ -310,9 +310,10 @@ def scan_repeatedly(
         patterned = replace(scene, sequence=design.sequence(panel))
         error = np.empty((repeats, len(pixels)))
         model = _ModelNoise(pixels)
+        moving = moving_light(patterned, tagged_seed(seed, _LIGHT, 0))
         for r in range(repeats):
             own = tagged_seed(seed, _SCANS, k, r)
-            fused = capture_stack(patterned, transports, seed=own).fuse(weights)
+            fused = capture_stack(patterned, transports, seed=own, moving=moving).fuse(weights)
             model.add(fused)
             # Wrong orders are what is counted: none is masked for its residual.
             phase = fused.decode(max_order_residual=0.5)

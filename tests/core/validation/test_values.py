@@ -29,6 +29,7 @@ from slbench.patterns.given import PatternsTable
 from slbench.patterns.images import Images
 from slbench.patterns.sequence import SequenceTable
 from slbench.rig import Camera, DesignVariables, Device, Lens, Projector, Rig
+from slbench.rig.motion import FrameTiming, Motion
 from slbench.rig.optics.response import Response
 from slbench.scene.colour import Colour
 from slbench.scene.environment import environment_of
@@ -87,6 +88,8 @@ VALUES = [
     FolderTable(camera="left", projector="main", folder="left-main"),
     load_hardware("hardware/macro-ch6"),
     Exposure(),
+    Motion(),
+    FrameTiming(period_s=0.01),
     BitPlanes(periods=1.5),
     Trigger(),
     Drift(),
