@@ -103,8 +103,7 @@ class FrameTiming(Value):
         zero : float
             The picture whose time is zero, or a place between two.
         """
-        middles: Array = (np.arange(pictures) - zero) * self.period_s
-        return middles
+        return np.asarray((np.arange(pictures) - zero) * self.period_s, np.float64)
 
     def delays(self, rows: int) -> Array:
         """Return how much later than the middle row each is exposed, (rows,), s."""
