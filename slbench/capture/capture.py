@@ -25,9 +25,9 @@ beside ``capture.toml``, and the same manifest describes real photographs::
 ``exposures_ms = [2, 8, 32]`` at its top says that all frames were taken at each of several
 exposures and are listed exposure by exposure; every pixel takes those of the longest at which it
 is not saturated (:mod:`slbench.capture.exposures`).  ``response = 2.2`` is the projector's gamma,
-``response = "curve.csv"`` its measured curve.  ``frame_period_ms = 10`` is the time from a picture to
-the next, where something moved, and ``rolling_shutter_ms`` how much later the last row is exposed
-than the first.  What ``frames`` may be is said in :mod:`slbench.capture.reading`.
+``response = "curve.csv"`` its measured curve.  ``frame_period_ms = 10`` is the time from a picture
+to the next, where something moved, and ``rolling_shutter_ms`` how much later the last row is
+exposed than the first.  What ``frames`` may be is said in :mod:`slbench.capture.reading`.
 
 ``modules = ["my_codes.py"]``
 at its top names Python files beside it that add pattern codes (:mod:`slbench.core.modules`).
