@@ -318,6 +318,22 @@ def test_the_cloud_is_one_of_points_like_others():
         cloud.of("lef")
 
 
+def test_the_file_of_a_cloud_is_scored_as_any(tmp_path):
+    from slbench.cloud.files.read import read_cloud
+    from slbench.core.io import write_ply
+    from slbench.score.clouds.scored import score_cloud
+
+    cloud = triangulate_jointly(RIG, phases(RIG, FLAT, 0.02, seed=6))
+    write_ply(tmp_path / "cloud.ply", cloud.points, cloud.fields())
+    read = read_cloud(tmp_path / "cloud.ply")
+    assert {"rays", "residual", "camera"} <= set(read.scalars)
+    np.testing.assert_array_equal(read.scalars["rays"], cloud.rays)
+    inside = np.abs(cloud.points[:, :2]).max(axis=1) < 20.0
+    scored = score_cloud(read.chosen(inside), artefact="plane", placed=True)
+    expected = np.median(np.abs(cloud.points[inside, 2]))
+    assert scored.score.median_abs_mm == pytest.approx(expected, rel=0.02)
+
+
 def test_what_cannot_be_joined_says_so():
     found = phases(RIG, FLAT)
     with pytest.raises(InputError, match="none"):

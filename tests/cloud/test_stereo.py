@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from several_cameras import (
     LEFT,
+    PANEL,
     RIGHT,
     Ball,
     Plate,
@@ -20,7 +21,9 @@ from several_cameras import (
 )
 
 from slbench.cloud.stereo import triangulate_stereo
+from slbench.cloud.triangulation import triangulate
 from slbench.core.errors import InputError
+from slbench.patterns import NoiseModel, PatternSequence, decode
 from slbench.rig import Lens, Rig
 
 RIG = mirrored()
@@ -75,6 +78,37 @@ def test_what_the_projector_does_does_not_matter():
     # 0.8 px of ripple are 0.5 mm of depth; what is left is what a cubic misses of it.
     assert np.abs(away(rig, warped, CURVED)).max() < 0.01
     assert np.median(np.abs(away(rig, warped, CURVED))) < 0.002
+
+
+def decoded(rig, counts, shifts, gamma):
+    """Return what cameras decode of fringes whose light is a power of what was shown."""
+    parts = [{"kind": "fringes", "count": count, "shifts": shifts} for count in counts]
+    sequence = PatternSequence.from_dict({"panel": list(PANEL), "parts": parts})
+    found = {}
+    for pair in rig.pairs:
+        points, _ = truth(rig, pair, CURVED)
+        u = rig.projectors[pair.projector].project(np.nan_to_num(points))[..., 0] + 0.5
+        shown = [
+            0.5 + 0.5 * np.cos(2.0 * np.pi * (f.part.count * u / PANEL[0] - f.index / shifts))
+            for f in sequence.frames()
+        ]
+        frames = 20.0 + 200.0 * np.clip(shown, 0.0, 1.0) ** gamma
+        found[pair] = decode(frames, sequence, noise=NoiseModel(read_dn=0.5))
+    return found
+
+
+@pytest.mark.parametrize(("count", "shifts", "times"), [(6, 3, 100.0), (16, 4, 5.0)])
+def test_a_gamma_that_spoils_triangulation_is_no_matter(count, shifts, times):
+    rig = mirrored(size=(160, 60), pitch=0.02)
+    found = decoded(rig, (1, count), shifts, 2.2)
+    alone = triangulate(rig.pair(LEFT), found[LEFT])
+    both = {pair.camera: phase for pair, phase in found.items()}
+    stereo = triangulate_stereo(Rig(rig.cameras, {}), both)
+    assert len(stereo) > 0.6 * len(alone)
+    one, two = (np.median(np.abs(away(rig, cloud, CURVED))) for cloud in (alone, stereo))
+    # What is left is what a cubic misses of the ripple that the response leaves.
+    assert two < one / times
+    assert two < 0.5 * np.median(stereo.sigma_total_mm)
 
 
 ENOUGH = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-15)
