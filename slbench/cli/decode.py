@@ -124,7 +124,8 @@ def decode(
     DECODED_FOLDER.check(target, "--out")
     shots = Capture.load(folder, allow_modules=allow_modules, allow_outside=allow_outside)
     if rig is not None:
-        shots = replace(shots, rig=read_rig(rig, shots.pair))
+        known = read_rig(rig, shots.pair)
+        shots = replace(shots, rig=known if len(known.pairs) == 1 else known.pair(shots.pair))
     straight = read_response(gamma, response)
     if straight is not None:
         shots = replace(shots, response=straight)

@@ -15,10 +15,14 @@ from calibrations import (
     assert_projects,
     storage,
 )
-from scenes_small import run_cli
+from scenes_small import check_refused, run_cli
+from several_cameras import camera_at, projector_at
 
+from slbench.capture.capture import Capture
 from slbench.core.io import read_opencv_yaml
-from slbench.rig.opencv import read_rig
+from slbench.patterns import PatternSequence
+from slbench.rig import Pair, Rig
+from slbench.rig.opencv import read_rig, write_rig
 
 SIZES = ("--size-camera", "1280x1024", "--size-projector", "1280x800")
 
@@ -172,3 +176,33 @@ def test_a_rig_becomes_the_file_of_another_program(slstudio, tmp_path):
     done = run_cli("rig", "convert", slstudio, tmp_path / "x.yaml", "--to", "rose")
     assert "--to: expected one of slstudio, " in done.err
     assert "did you mean 'ros'" in done.err
+
+
+def test_a_rig_of_several_devices_is_shown_pair_by_pair(tmp_path):
+    rig = Rig({"left": camera_at(-150.0), "right": camera_at(150.0)}, {"main": projector_at(0.0)})
+    write_rig(tmp_path / "rig.yaml", rig)
+    shown = run_cli("rig", "show", tmp_path / "rig.yaml")
+    assert shown.status == 0, shown.err
+    assert shown.out.count("angle between the axes") == 2
+    assert "right" in shown.out
+    said = json.loads(run_cli("rig", "show", tmp_path / "rig.yaml", "--json").out)
+    assert list(said["pairs"]) == ["left-main", "right-main"]
+    check_refused(
+        run_cli("rig", "convert", tmp_path / "rig.yaml", tmp_path / "out.yaml"),
+        "rig.yaml: rig devices: expected one camera and one projector",
+    )
+    assert not (tmp_path / "out.yaml").exists()
+    write_rig(tmp_path / "alone.yaml", Rig(rig.cameras, {}))
+    check_refused(run_cli("rig", "show", tmp_path / "alone.yaml"), "a rig with a projector")
+
+
+def test_a_capture_of_one_pair_takes_its_own_out_of_a_rig_of_several(tmp_path):
+    rig = Rig({"left": camera_at(-150.0), "right": camera_at(150.0)}, {"main": projector_at(0.0)})
+    write_rig(tmp_path / "rig.yaml", rig)
+    sequence = PatternSequence.parse("1", (320, 240))
+    frames = np.full((3, 30, 40), 100, np.uint8)
+    Capture(frames, sequence, pair=Pair("right", "main")).save(tmp_path / "shots")
+    words = ("decode", tmp_path / "shots", "--rig", tmp_path / "rig.yaml", "--json")
+    done = run_cli(*words, "--out", tmp_path / "out", "--no-picture")
+    assert done.status == 0, done.err
+    assert json.loads(done.out)["points"] == 0  # nothing is modulated, but the rig is known

@@ -19,7 +19,7 @@ from slbench.cli.rig.given import (
     SizeProjector,
     stated_of,
 )
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
 
 
 @command("slbench rig convert stereo.yml rig.yaml --unit mm --size-projector 1280x800")
@@ -67,6 +67,8 @@ def convert(
     pitches = {"camera": pitch_camera, "projector": pitch_projector}
     entries = rig_entries(given, stated_of(unit, order, sizes, pitches, first_pixel))
     rig = rig_of(entries)
+    with located(given[0]):
+        rig = rig.pair(rig.only)  # refused before anything is written
     if to is None:
         write_rig(out, rig, covariance_beside(given[0]))
         written = [out]

@@ -19,6 +19,7 @@ from slbench.cli.rig.given import (
     SizeProjector,
     stated_of,
 )
+from slbench.core.errors import InputError
 
 
 @command("slbench rig show out/step-block/rig.yaml --out rig.png")
@@ -45,14 +46,21 @@ def show(
     sizes = {"camera": size_camera, "projector": size_projector}
     pitches = {"camera": pitch_camera, "projector": pitch_projector}
     rig = read_rig(files, stated=stated_of(unit, order, sizes, pitches, first_pixel))
-    summary = summary_of(rig)
+    # A rig of several devices is one of each pair.
+    summaries = {"-".join(pair): summary_of(rig.pair(pair)) for pair in rig.pairs}
+    if not summaries:
+        expected = "a rig with a projector: cameras alone have no pair to show"
+        raise InputError(files[0], expected, ", ".join(rig.cameras))
     if out is not None:
         write_figure(rig, out)
     if as_json:
-        print_json(summary | ({} if out is None else {"picture": str(out)}))
+        (only, *more) = summaries.values()
+        shown = {"pairs": summaries} if more else only
+        print_json(shown | ({} if out is None else {"picture": str(out)}))
         return
-    print_table(summary_table(summary))
-    for line in summary_lines(summary):
-        print(line)
+    for summary in summaries.values():
+        print_table(summary_table(summary))
+        for line in summary_lines(summary):
+            print(line)
     if out is not None:
         print(f"Written to {out}")
