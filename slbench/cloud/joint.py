@@ -355,6 +355,8 @@ class _View:
 
     def in_footprint(self, points: Array, sigma_mm: Array, limit: float) -> Mask:
         """Return which points lie in the footprint of a measured pixel, beside smooth surface."""
+        if not len(self.points):
+            return np.zeros(len(points), bool)
         place, by_point = self.camera.project_with_jacobian(points)
         rows, columns = self.mask.shape
         on = np.isfinite(place).all(axis=1) & self.camera.contains(np.nan_to_num(place, nan=-9.0))

@@ -334,6 +334,18 @@ def test_the_file_of_a_cloud_is_scored_as_any(tmp_path):
     assert scored.score.median_abs_mm == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.parametrize("empty", [{LEFT}, {RIGHT}, {LEFT, RIGHT}])
+def test_cameras_that_measured_nothing_take_nothing_away(empty):
+    found = {
+        pair: replace(one, mask=one.mask & (pair not in empty))
+        for pair, one in phases(RIG, FLAT).items()
+    }
+    cloud = triangulate_jointly(RIG, found)
+    assert len(cloud) == sum(one.mask.sum() for one in found.values())
+    assert all(len(one) == len(cloud) for one in cloud.fields().values())
+    assert f"{len(cloud)} points" in repr(cloud)
+
+
 def test_what_cannot_be_joined_says_so():
     found = phases(RIG, FLAT)
     with pytest.raises(InputError, match="none"):
