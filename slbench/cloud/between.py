@@ -16,6 +16,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit, prange
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -28,8 +29,8 @@ _NOISE = 6.0 * np.sqrt(6.0)
 #: What the two second differences may differ by: shares of the same first difference, which bends
 #: the interpolated value by a thousandth of it, and deviations, (1 + 9 + 9 + 1) variances.
 _ALIKE, _ALIKE_NOISE = 0.02, 4.0 * np.sqrt(20.0)
-#: Places handled together: bounds the temporaries of a pass to some 200 MB.
-_PLACES_PER_PASS = 1 << 18
+#: Places that a thread handles at a time.
+_CHUNK = 1024
 
 
 class Between(NamedTuple):
@@ -73,85 +74,116 @@ class PanelField:
         self._variance = np.pad(np.where(mask, sigma, 0.0) ** 2, around)
 
     def at(self, places: Array) -> Between:
-        """Return the coordinates at places (N, 2) of the image, (u, v)."""
+        """Return the coordinates at places (N, 2) of the image, (u, v); NaN beside the map."""
         count, axes = len(places), len(self._value)
         result = Between(
-            np.empty((count, axes)),
-            np.empty((count, axes, 2)),
-            np.empty((count, axes)),
-            np.empty(count, bool),
+            np.full((count, axes), np.nan),
+            np.full((count, axes, 2), np.nan),
+            np.full((count, axes), np.nan),
+            np.zeros(count, bool),
         )
-        for first in range(0, count, _PLACES_PER_PASS):
-            part = slice(first, first + _PLACES_PER_PASS)
-            for whole, own in zip(result, self._at(places[part]), strict=True):
-                whole[part] = own
+        if min(self.shape) > 1:
+            given = np.ascontiguousarray(places, dtype=np.float64)
+            _interpolate(self._mask, self._value, self._variance, given, *result)
         return result
 
-    def _at(self, places: Array) -> Between:
-        rows, columns = self.shape
-        inside = np.isfinite(places).all(axis=1) & (places >= 0.0).all(axis=1)
-        inside &= (places[:, 0] <= columns - 1) & (places[:, 1] <= rows - 1)
-        inside &= min(rows, columns) > 1
-        place = np.where(inside[:, None], places, 0.0)
-        corner = np.minimum(np.floor(place), [max(columns - 2, 0), max(rows - 2, 0)])
-        (x, y), (i, j) = (place - corner).T, corner.astype(np.intp).T
-        picked = {
-            (m, n): (np.minimum(j + m, rows + 1), np.minimum(i + n, columns + 1))
-            for m in range(4)
-            for n in range(4)
-            if m in (1, 2) or n in (1, 2)
-        }
-        known = {key: self._mask[at] for key, at in picked.items()}
-        value = {key: self._value[:, at[0], at[1]] for key, at in picked.items()}
-        variance = {key: self._variance[:, at[0], at[1]] for key, at in picked.items()}
-        core = [(1, 1), (1, 2), (2, 1), (2, 2)]
-        good = inside & np.logical_and.reduce([known[key] for key in core])
-        slope = np.max(
-            [
-                np.abs(value[a] - value[b])
-                for a, b in zip(core, (core[1], core[3], core[0], core[2]), strict=True)
-            ],
-            axis=0,
-        )
-        # Weights of the pixels in the value and in both derivatives.
-        weights = {key: [np.zeros(len(places)) for _ in range(3)] for key in picked}
-        for (m, n), (in_x, in_y) in zip(core, ((0, 0), (1, 0), (0, 1), (1, 1)), strict=True):
-            by_x, by_y = (
-                (x, 1.0) if in_x else (1.0 - x, -1.0),
-                (y, 1.0) if in_y else (1.0 - y, -1.0),
-            )
-            weights[m, n][0] += by_x[0] * by_y[0]
-            weights[m, n][1] += by_x[1] * by_y[0]
-            weights[m, n][2] += by_x[0] * by_y[1]
-        for along_x in (True, False):
-            f, g = (x, y) if along_x else (y, x)
-            bend, turn = -0.5 * f * (1.0 - f), -0.5 * (1.0 - 2.0 * f)
-            for line in (1, 2):
-                share, change = (1.0 - g, -1.0) if line == 1 else (g, 1.0)
-                keys = [(line, k) if along_x else (k, line) for k in range(4)]
-                first, last = known[keys[0]], known[keys[3]]
-                good &= first | last
-                bends = [
-                    value[keys[k]] - 2.0 * value[keys[k + 1]] + value[keys[k + 2]] for k in (0, 1)
-                ]
-                noise = np.sqrt(sum(variance[key] for key in keys) / 4.0)
-                sharp = np.abs(bends[1] - bends[0]) > _ALIKE * slope + _ALIKE_NOISE * noise
-                good &= ~(first & last) | ~sharp.any(axis=0)
-                early = np.where(first & last, 1.0 - f, first.astype(np.float64))
-                for k, own in ((0, early), (1, 1.0 - early)):
-                    there = first if k == 0 else last
-                    noise = np.sqrt(sum(variance[keys[k + n]] for n in range(3)) / 3.0)
-                    steep = np.abs(bends[k]) > _SMOOTH * slope + _NOISE * noise
-                    good &= ~there | ~steep.any(axis=0)
-                    for n, times in enumerate((1.0, -2.0, 1.0)):
-                        one = weights[keys[k + n]]
-                        one[0] += times * own * bend * share
-                        one[1 if along_x else 2] += times * own * turn * share
-                        one[2 if along_x else 1] += times * own * bend * change
-        sums = np.zeros((4, len(value[core[0]]), len(places)))
-        for key, (own, by_u, by_v) in weights.items():
-            sums[0] += own * value[key]
-            sums[1] += by_u * value[key]
-            sums[2] += by_v * value[key]
-            sums[3] += own * own * variance[key]
-        return Between(sums[0].T, sums[1:3].transpose(2, 1, 0), sums[3].T, good)
+
+@njit(cache=True, nogil=True)
+def _add_bend(weights, line, along_x, first, times, f, g):  # type: ignore[no-untyped-def]
+    """Add what a second difference of a line does to the value and to both derivatives."""
+    share, change = (1.0 - g, -1.0) if line == 1 else (g, 1.0)
+    bend, turn = -0.5 * f * (1.0 - f) * times, -0.5 * (1.0 - 2.0 * f) * times
+    for n in range(3):
+        part = -2.0 if n == 1 else 1.0
+        m, k = (line, first + n) if along_x else (first + n, line)
+        weights[0, m, k] += part * bend * share
+        weights[1 if along_x else 2, m, k] += part * turn * share
+        weights[2 if along_x else 1, m, k] += part * bend * change
+
+
+@njit(cache=True, nogil=True)
+def _smooth(p, v, first, last, slope):  # type: ignore[no-untyped-def]
+    """Tell whether four coordinates in a row, of which an outer one may miss, are smooth."""
+    one, two = p[0] - 2.0 * p[1] + p[2], p[1] - 2.0 * p[2] + p[3]
+    if first and abs(one) > _SMOOTH * slope + _NOISE * np.sqrt((v[0] + v[1] + v[2]) / 3.0):
+        return False
+    if last and abs(two) > _SMOOTH * slope + _NOISE * np.sqrt((v[1] + v[2] + v[3]) / 3.0):
+        return False
+    noise = np.sqrt((v[0] + v[1] + v[2] + v[3]) / 4.0)
+    return not (first and last and abs(two - one) > _ALIKE * slope + _ALIKE_NOISE * noise)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _interpolate(  # type: ignore[no-untyped-def]
+    mask, values, variances, places, value, gradient, variance, good
+):
+    """Fill what :class:`Between` has of each place; what is beside the map stays.
+
+    Parameters
+    ----------
+    mask : (V + 2, U + 2) bool
+        With a frame of one pixel that is not measured, as `values` and `variances` have.
+    values, variances : (A, V + 2, U + 2) float
+    places : (N, 2) float
+    value, gradient, variance, good
+        As of :class:`Between`.
+    """
+    axes, rows, columns = len(values), mask.shape[0] - 2, mask.shape[1] - 2
+    for chunk in prange(-(-len(places) // _CHUNK)):
+        weights = np.empty((3, 4, 4))
+        p, v = np.empty(4), np.empty(4)
+        for i in range(chunk * _CHUNK, min((chunk + 1) * _CHUNK, len(places))):
+            at_u, at_v = places[i, 0], places[i, 1]
+            if not (0.0 <= at_u <= columns - 1 and 0.0 <= at_v <= rows - 1):
+                continue
+            left, top = min(int(at_u), columns - 2), min(int(at_v), rows - 2)
+            x, y = at_u - left, at_v - top
+            known = mask[top : top + 4, left : left + 4]
+            if not (known[1, 1] and known[1, 2] and known[2, 1] and known[2, 2]):
+                continue
+            weights[:] = 0.0
+            for m in range(2):
+                for n in range(2):
+                    by_x, by_y = (x if n else 1.0 - x), (y if m else 1.0 - y)
+                    weights[0, 1 + m, 1 + n] = by_x * by_y
+                    weights[1, 1 + m, 1 + n] = by_y if n else -by_y
+                    weights[2, 1 + m, 1 + n] = by_x if m else -by_x
+            fine = True
+            for way in range(2):
+                along_x = way == 0
+                f, g = (x, y) if along_x else (y, x)
+                for line in range(1, 3):
+                    first = known[line, 0] if along_x else known[0, line]
+                    last = known[line, 3] if along_x else known[3, line]
+                    fine = fine and (first or last)
+                    if first:
+                        _add_bend(weights, line, along_x, 0, 1.0 - f if last else 1.0, f, g)
+                    if last:
+                        _add_bend(weights, line, along_x, 1, f if first else 1.0, f, g)
+            for a in range(axes):
+                near = values[a, top : top + 4, left : left + 4]
+                noise = variances[a, top : top + 4, left : left + 4]
+                slope = max(
+                    max(abs(near[1, 1] - near[1, 2]), abs(near[2, 1] - near[2, 2])),
+                    max(abs(near[1, 1] - near[2, 1]), abs(near[1, 2] - near[2, 2])),
+                )
+                sums = (0.0, 0.0, 0.0, 0.0)
+                for m in range(4):
+                    for n in range(4):
+                        w, one = weights[0, m, n], near[m, n]
+                        sums = (
+                            sums[0] + w * one,
+                            sums[1] + weights[1, m, n] * one,
+                            sums[2] + weights[2, m, n] * one,
+                            sums[3] + w * w * noise[m, n],
+                        )
+                value[i, a], gradient[i, a, 0], gradient[i, a, 1], variance[i, a] = sums
+                for line in range(1, 3):
+                    for way in range(2):
+                        for k in range(4):
+                            m, n = (line, k) if way == 0 else (k, line)
+                            p[k], v[k] = near[m, n], noise[m, n]
+                        first = known[line, 0] if way == 0 else known[0, line]
+                        last = known[line, 3] if way == 0 else known[3, line]
+                        fine = fine and _smooth(p, v, first, last, slope)
+            good[i] = fine
