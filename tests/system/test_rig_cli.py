@@ -187,11 +187,9 @@ def test_a_rig_of_several_devices_is_shown_pair_by_pair(tmp_path):
     assert "right" in shown.out
     said = json.loads(run_cli("rig", "show", tmp_path / "rig.yaml", "--json").out)
     assert list(said["pairs"]) == ["left-main", "right-main"]
-    check_refused(
-        run_cli("rig", "convert", tmp_path / "rig.yaml", tmp_path / "out.yaml"),
-        "rig.yaml: rig devices: expected one camera and one projector",
-    )
-    assert not (tmp_path / "out.yaml").exists()
+    words = ("rig", "convert", tmp_path / "rig.yaml", tmp_path / "out.m", "--to", "bouguet")
+    check_refused(run_cli(*words), "rig.yaml: rig devices: expected one camera and one projector")
+    assert not (tmp_path / "out.m").exists()
     write_rig(tmp_path / "alone.yaml", Rig(rig.cameras, {}))
     check_refused(run_cli("rig", "show", tmp_path / "alone.yaml"), "a rig with a projector")
 
@@ -206,3 +204,24 @@ def test_a_capture_of_one_pair_takes_its_own_out_of_a_rig_of_several(tmp_path):
     done = run_cli(*words, "--out", tmp_path / "out", "--no-picture")
     assert done.status == 0, done.err
     assert json.loads(done.out)["points"] == 0  # nothing is modulated, but the rig is known
+
+
+def test_two_cameras_of_another_program_make_a_rig_without_a_projector(stereo, tmp_path):
+    out = tmp_path / "rig.yaml"
+    words = ("--unit", "m", "--order", "camera-camera", "--size-camera", "1280x1024")
+    done = run_cli("rig", "convert", stereo, out, *words, "--pitch-camera", "3.45")
+    assert done.status == 0, done.err
+    rig = read_rig(out)
+    assert (len(rig.cameras), len(rig.projectors)) == (2, 0)
+    first, second = rig.cameras.values()
+    points = np.array([[10.0, -5.0, 600.0], [0.0, 20.0, 700.0]])
+    turn = cv2.Rodrigues(R)[0]
+    for camera, pose, k, d in (
+        (first, (np.zeros(3), np.zeros(3)), K_CAMERA, DIST_CAMERA),
+        (second, (turn, T), K_PROJECTOR, DIST_PROJECTOR),
+    ):
+        expected = cv2.projectPoints(points, *pose, k, d)[0][:, 0]
+        np.testing.assert_allclose(camera.project(points), expected, atol=1e-6)
+        assert camera.pitch_mm[0] == pytest.approx(0.00345)
+    asked = run_cli("rig", "convert", stereo, tmp_path / "other.yaml", *words[:4])
+    check_refused(asked, "--size-camera")

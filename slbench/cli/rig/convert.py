@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -67,21 +67,21 @@ def convert(
     pitches = {"camera": pitch_camera, "projector": pitch_projector}
     entries = rig_entries(given, stated_of(unit, order, sizes, pitches, first_pixel))
     rig = rig_of(entries)
-    with located(given[0]):
-        rig = rig.pair(rig.only)  # refused before anything is written
+    alone = len(rig.pairs) == 1
     if to is None:
-        write_rig(out, rig, covariance_beside(given[0]))
+        write_rig(out, rig, covariance_beside(given[0]) if alone else None)
         written = [out]
     else:
-        written = write_calibration(out, rig, to)
-    summary = summary_of(rig)
+        with located(given[0]):
+            written = write_calibration(out, rig.pair(rig.only), to)
+    summary: dict[str, Any] = summary_of(rig) if alone else {"devices": list(rig.devices)}
     if as_json:
         print_json({"format": entries.format, "files": list(map(str, written))} | summary)
         return
-    for line in summary_lines(summary):
+    for line in summary_lines(summary) if alone else ():
         print(line)
     missing = [f"--pitch-{role}" for role in sizes if f"pitch_um_{role}" not in entries.values]
-    if missing:
+    if missing and alone:
         nominal = f"{summary['camera']['pitch_um'][0]:g} µm is taken: rays do not depend on it"
         print(f"pitch: not stated ({', '.join(missing)}), {nominal}")
     print(f"Written to {', '.join(map(str, written))}, from {entries.format}")

@@ -18,7 +18,7 @@ RigUnit = Annotated[
     typer.Option(help="Unit of the translation, where the file does not say."),
 ]
 Order = Annotated[
-    Literal["camera-projector", "projector-camera"] | None,
+    Literal["camera-projector", "projector-camera", "camera-camera"] | None,
     typer.Option(help="The file's first and second device, where names do not tell."),
 ]
 SizeCamera = Annotated[
@@ -44,7 +44,7 @@ FirstPixel = Annotated[
 
 def stated_of(
     unit: str | None,
-    order: Literal["camera-projector", "projector-camera"] | None,
+    order: Literal["camera-projector", "projector-camera", "camera-camera"] | None,
     sizes: dict[str, str | None],
     pitches_um: dict[str, float | None],
     first_pixel: int | None,

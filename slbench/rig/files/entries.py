@@ -6,6 +6,7 @@ asked for, all at once.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,8 +22,12 @@ from slbench.rig.files.registry import format_of, rig_formats
 from slbench.rig.files.source import Source
 from slbench.rig.pose import checked_rotation
 
-Order = Literal["camera-projector", "projector-camera"]
+Order = Literal["camera-projector", "projector-camera", "camera-camera"]
+#: Two cameras are never guessed.
 _ORDERS: tuple[Order, ...] = ("camera-projector", "projector-camera")
+_CAMERAS: Order = "camera-camera"
+#: What two cameras are called whose names are none that entries can have.
+_LEFT_RIGHT = ("left", "right")
 #: Of our own files: either is theirs.
 _OWN = ("K_camera", "K_projector")
 #: Of our own files of several devices: a text of names.
@@ -45,7 +50,7 @@ class Stated:
         Width and height by device, "camera" and "projector".
     pitches_um : mapping of str to float
         Pixel pitch by device.
-    order : "camera-projector", "projector-camera" or None
+    order : "camera-projector", "projector-camera", "camera-camera" or None
         What the file's first and second device are, where their names do not tell.
     first_pixel : int or None
         Coordinates of the centre of the top left pixel, 0 or 1, where not the format's own.
@@ -146,20 +151,26 @@ def _translated(found: Calibration, stated: Stated, path: Path, name: str) -> En
     unit = stated.unit or found.unit
     if unit is not None and unit not in MILLIMETRES:
         raise InputError("unit", " or ".join(MILLIMETRES), quoted(unit, list(MILLIMETRES)))
-    roles = (order or _ORDERS[0]).split("-")
+    both = order == _CAMERAS
+    roles = _camera_names(found) if both else (order or _ORDERS[0]).split("-")
     devices = dict(zip(roles, (found.first, found.second), strict=True))
-    sizes = {role: stated.sizes_px.get(role, one.size) for role, one in devices.items()}
-    _ask(path, found, unit, sizes, order)
+    # What is stated of "the camera" is of both.
+    stated_as = {role: "camera" if both else role for role in devices}
+    sizes = {role: stated.sizes_px.get(stated_as[role], one.size) for role, one in devices.items()}
+    _ask(path, found, unit, {stated_as[role]: size for role, size in sizes.items()}, order)
     rotation = checked_rotation(found.rotation, found.places.get("R", f"{path}: R"))
     if not np.isfinite(found.translation).all():
         expected = "three finite numbers"
         raise InputError(found.places.get("T", path), expected, found.translation.tolist())
     translation = found.translation * MILLIMETRES[unit or "mm"]
-    if roles[0] == "projector":
+    if order == "projector-camera":
         rotation, translation = rotation.T, -rotation.T @ translation
     first_pixel = found.first_pixel if stated.first_pixel is None else stated.first_pixel
-    values: dict[str, Any] = {"R": rotation, "T": translation}
-    places = {key: found.places[key] for key in "RT" if key in found.places}
+    of_second = f"_{roles[1]}" if both else ""
+    values: dict[str, Any] = {f"R{of_second}": rotation, f"T{of_second}": translation}
+    if both:
+        values[_NAMES] = " ".join(roles)
+    places = {f"{key}{of_second}": found.places[key] for key in "RT" if key in found.places}
     for role, one in devices.items():
         matrix = np.array(one.matrix, dtype=np.float64)
         matrix[:2, 2] -= first_pixel
@@ -167,10 +178,19 @@ def _translated(found: Calibration, stated: Stated, path: Path, name: str) -> En
         values[f"size_{role}"] = np.array(sizes[role], dtype=np.float64)
         if one.distortion.size:
             values[f"dist_{role}"] = one.distortion
-        if role in stated.pitches_um:
-            values[f"pitch_um_{role}"] = np.full(2, stated.pitches_um[role])
+        if stated_as[role] in stated.pitches_um:
+            values[f"pitch_um_{role}"] = np.full(2, stated.pitches_um[stated_as[role]])
         places |= {f"{key}_{role}": place for key, place in one.places.items()}
     return Entries(path=path, values=values, places=places, format=name)
+
+
+def _camera_names(found: Calibration) -> list[str]:
+    """Return what two cameras are called: as the file does, where entries can have such names."""
+    names = [found.first.name, found.second.name]
+    usable = len(set(names)) == 2 and all(
+        re.fullmatch(r"[A-Za-z0-9_-]*[A-Za-z][A-Za-z0-9_-]*", n) for n in names
+    )
+    return names if usable else list(_LEFT_RIGHT)
 
 
 def _order(found: Calibration, stated: Stated, path: Path) -> Order | None:
@@ -182,7 +202,7 @@ def _order(found: Calibration, stated: Stated, path: Path) -> Order | None:
         for one, two in [order.split("-")]
         if first != second and first in (one, None) and second in (two, None)
     ]
-    if len(told) != 1:
+    if len(told) != 1 or (stated.order == _CAMERAS and "projector" not in (first, second)):
         return stated.order
     if stated.order not in (None, told[0]):
         names = f"the first device is named {found.first.name}, the second {found.second.name}"
@@ -204,7 +224,7 @@ def _ask(
         missing.append(f"--unit {'|'.join(MILLIMETRES)} (T is {length:.4g} long)")
     if order is None:
         names = f"the devices are {found.first.name!r} and {found.second.name!r}"
-        missing.append(f"--order {'|'.join(_ORDERS)} ({names})")
+        missing.append(f"--order {'|'.join((*_ORDERS, _CAMERAS))} ({names})")
     missing += [f"--size-{role} WIDTHxHEIGHT" for role, size in sizes.items() if size is None]
     if missing:
         what = "what the file does not say, with slbench rig convert"
