@@ -175,18 +175,17 @@ def _directions(staging: Staging, count: int, scene: Scene) -> list[tuple[Pose, 
 _MOVES = {"rotary": _turns, "xyz": _shifts, "robot": _directions}
 
 
-def even_turns(found: Sequence[Candidate], count: int) -> list[int] | None:
-    """Return the candidates of a uniform turntable of so many views, in its first stable pose.
+def uniform_turntables(found: Sequence[Candidate], most: int) -> dict[int, list[int]]:
+    """Return the candidates of uniform turntables of up to so many views, by their number.
 
-    Returns
-    -------
-    list of int or None
-        None where the steps of the turntable do not divide so.
+    They stand in the first stable pose; numbers that do not divide its steps are left out.
     """
     first = [k for k, one in enumerate(found) if one.resting == found[0].resting]
-    if len(first) % count:
-        return None
-    return first[:: len(first) // count]
+    return {
+        count: first[:: len(first) // count]
+        for count in range(1, most + 1)
+        if len(first) % count == 0
+    }
 
 
 def _about_x(angle: float) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from slbench.core.show.display import block, share
 from slbench.core.show.drawing import figure
 from slbench.design.rig.constraints import CONSTRAINTS, placed_margins
 from slbench.design.rig.hardware import Hardware, Placement
-from slbench.design.views.candidates import Candidate, Staging, candidates, even_turns
+from slbench.design.views.candidates import Candidate, Staging, candidates, uniform_turntables
 from slbench.design.views.clear import Clearance
 from slbench.design.views.cover import Rows, Solution, greedy, integer
 from slbench.design.views.predict import Predictor
@@ -123,13 +123,10 @@ class ViewPlan:
 
     def uniform(self, most: int) -> dict[int, float]:
         """Return the coverage by uniform turntables of up to so many views; of a turntable only."""
-        found = {}
-        if self.staging.stage == "rotary":
-            for count in range(1, most + 1):
-                turns = even_turns(self.candidates, count)
-                if turns is not None:
-                    found[count] = self.rows.coverage(turns)
-        return found
+        if self.staging.stage != "rotary":
+            return {}
+        turns = uniform_turntables(self.candidates, most)
+        return {count: self.rows.coverage(views) for count, views in turns.items()}
 
     def viewpoints(self) -> Viewpoints:
         """Return the chosen views."""
@@ -294,18 +291,14 @@ def plan_views(
         warn_user(where, f"{expected}: as much as can be is covered by {max_views} views")
         coverage = None
     begin = time.perf_counter()
-    choices = {GREEDY: tuple(greedy(rows, max_views, coverage))}
-    seconds["greedy"] = time.perf_counter() - begin
-    begin = time.perf_counter()
-    report("integer programming", 0.0)
+    report("choose", 0.0)
     patches = rows.patched(patches_of(samples, PATCHES))
-    solution = _solved(rows, patches, max_views, coverage, time_limit_s)
-    report("integer programming", 1.0)
-    seconds["integer programming"] = time.perf_counter() - begin
-    if solution.views:
-        choices[INTEGER] = solution.views
-    if staging.stage == "rotary":
-        choices |= _uniform(found, rows, max_views, coverage)
+    turns = uniform_turntables(found, max_views) if staging.stage == "rotary" else {}
+    choices, solution = choose(
+        rows, patches, max_views, coverage, turns.values(), time_limit_s=time_limit_s
+    )
+    report("choose", 1.0)
+    seconds["choose"] = time.perf_counter() - begin
     return ViewPlan(
         scene=scene,
         object=part,
@@ -318,12 +311,61 @@ def plan_views(
         patches=patches,
         sigma_mm=sigma,
         choices=choices,
-        by=min(choices, key=lambda way: _worth(rows, choices[way], coverage)),
+        by=best_of(rows, choices, coverage),
         solution=solution,
         wanted=coverage,
         margins_mm=margins,
         seconds=seconds,
     )
+
+
+def choose(
+    rows: Rows,
+    patches: Rows,
+    most: int,
+    coverage: float | None = None,
+    turntables: Iterable[Sequence[int]] = (),
+    *,
+    time_limit_s: float = 30.0,
+) -> tuple[dict[str, tuple[int, ...]], Solution]:
+    """Choose views in every way there is.
+
+    Parameters
+    ----------
+    rows : Rows
+        Samples by views.
+    patches : Rows
+        Patches by views, for integer programming.
+    most : int
+        Views, at most.
+    coverage : float, optional
+        To be reached by as few as possible.
+    turntables : iterable of sequence of int
+        Uniform ones, which a choice must not fall behind.
+    time_limit_s : float
+
+    Returns
+    -------
+    choices : dict of str to tuple of int
+        By the name of the way; without integer programming where the solver found nothing.
+    solution : Solution
+        What the solver says.
+    """
+    choices = {GREEDY: tuple(greedy(rows, most, coverage))}
+    solution = _solved(rows, patches, most, coverage, time_limit_s)
+    if solution.views:
+        choices[INTEGER] = solution.views
+    known = [tuple(views) for views in turntables]
+    if known:
+        choices[UNIFORM] = min(known, key=lambda views: _worth(rows, views, coverage))
+    return choices, solution
+
+
+def best_of(
+    rows: Rows, choices: Mapping[str, Sequence[int]], coverage: float | None = None
+) -> str:
+    """Return the way whose choice covers most, or reaches a coverage with the fewest views."""
+    return min(choices, key=lambda way: _worth(rows, choices[way], coverage))
 
 
 def _solved(
@@ -345,17 +387,6 @@ def _solved(
             break
         found = again
     return found
-
-
-def _uniform(
-    found: Sequence[Candidate], rows: Rows, most: int, coverage: float | None
-) -> dict[str, tuple[int, ...]]:
-    """Return the best uniform turntable, as a choice beside the others."""
-    turns = [even_turns(found, count) for count in range(1, most + 1)]
-    known = [tuple(one) for one in turns if one is not None]
-    if not known:
-        return {}
-    return {UNIFORM: min(known, key=lambda views: _worth(rows, views, coverage))}
 
 
 def _worth(rows: Rows, views: Sequence[int], coverage: float | None) -> tuple[float, float]:
