@@ -119,6 +119,7 @@ def scan(
             seed=seed,
             noise=noise,
             samples=spp,
+            weights=weights,
             score=score,
             refine=register,
             stage_um=stage_um,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from slbench.cli.common import print_json, print_table, progress
 
 if TYPE_CHECKING:
+    from slbench.capture.stack import WeightSource
     from slbench.scene.model import Scene
 
 
@@ -19,6 +20,7 @@ def scan_viewpoints(
     seed: int,
     noise: bool,
     samples: int | None,
+    weights: WeightSource,
     score: bool,
     refine: bool,
     stage_um: float,
@@ -43,6 +45,7 @@ def scan_viewpoints(
             seed=seed,
             noise=noise,
             samples=samples,
+            weights=weights,
             score=score,
             refine=refine,
             stage=StageErrors(position_mm=1e-3 * stage_um, tilt_rad=1e-3 * tilt_mrad),
@@ -50,7 +53,7 @@ def scan_viewpoints(
             on_progress=report,
         )
     if as_json:
-        values: dict[str, Any] = result.to_dict() | {"out": folder}
+        values: dict[str, Any] = result.to_dict() | {"seconds": result.seconds, "out": folder}
         print_json(values)
         return
     part = result.scene.objects[0].artefact.name

@@ -30,6 +30,7 @@ Candidates = Annotated[int, Interval(ge=1, le=5000)]
 Poses = Annotated[int, Interval(ge=0, le=50)]
 Samples = Annotated[int, Interval(ge=100, le=2_000_000)]
 Tilt = Annotated[float, FINITE, Interval(ge=0.0, le=90.0)]
+Incidence = Annotated[float, FINITE, Interval(ge=1.0, le=90.0)]
 Clearance = Annotated[float, FINITE, Interval(ge=0.0, le=1000.0)]
 Seconds = Annotated[float, FINITE, Interval(ge=1.0, le=3600.0)]
 Index = Annotated[int, Interval(ge=0, le=10_000)]
@@ -54,6 +55,9 @@ def views(
     max_std_um: Annotated[
         Step | None, typer.Option(help="Largest standard deviation of a measurement.")
     ] = None,
+    max_incidence_deg: Annotated[
+        Incidence, typer.Option(help="Of the ways to both lenses from the normal.")
+    ] = 80.0,
     stable_poses: Annotated[
         Poses | None,
         typer.Option(help="Of the part on a table; 0: as in the scene.  [default: by the stage]"),
@@ -108,6 +112,7 @@ def views(
     counting = Counting(
         min_measurements=min_measurements,
         max_std_mm=np.inf if max_std_um is None else 1e-3 * max_std_um,
+        max_incidence_deg=max_incidence_deg,
         within_volume=volume,
         samples=samples,
     )

@@ -273,7 +273,7 @@ def plan_views(
     if not found:
         why = ", ".join(f"{count} {reason}" for reason, count in refused.items())
         raise InputError(where, "a pose of the part that the rig can see it in", why)
-    predictor = Predictor(scene, samples, counting.within_volume)
+    predictor = Predictor(scene, samples, counting)
     sigma = np.empty((len(samples), len(found)), np.float32)
     for k, candidate in enumerate(found):
         sigma[:, k] = predictor.predict(candidate.pose).sigma_mm
@@ -361,9 +361,7 @@ def choose(
     return choices, solution
 
 
-def best_of(
-    rows: Rows, choices: Mapping[str, Sequence[int]], coverage: float | None = None
-) -> str:
+def best_of(rows: Rows, choices: Mapping[str, Sequence[int]], coverage: float | None = None) -> str:
     """Return the way whose choice covers most, or reaches a coverage with the fewest views."""
     return min(choices, key=lambda way: _worth(rows, choices[way], coverage))
 

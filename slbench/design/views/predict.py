@@ -1,10 +1,10 @@
 """What one view of a part measures, predicted sample by sample of its surface.
 
 A sample is *measured* where it is lit and seen (free ways to both lenses, inside panel and
-picture), inside the measurement volume, and decoded, with a standard deviation that is at most
-the one asked for.  The deviation is that of the scan's own decoder and triangulation
-(:mod:`slbench.design.views.seen`), so that focus, incidence, saturation and the detector's noise
-need no limits of their own.
+picture), inside the measurement volume, not at a grazing angle, and decoded, with a standard
+deviation that is at most the one asked for.  The deviation is that of the scan's own decoder and
+triangulation (:mod:`slbench.design.views.seen`), so that focus, incidence, saturation and the
+detector's noise need no limits of their own; grazing angles alone have one.
 """
 
 from __future__ import annotations
@@ -16,14 +16,22 @@ from numpy.typing import NDArray
 
 from slbench.cloud.triangulation import meet
 from slbench.design.views.seen import Frames
+from slbench.patterns import PhaseMap
 from slbench.rig import Pose, Rig
 from slbench.scene.model import Scene
 from slbench.simulate.expose import shutter_of
 from slbench.simulate.viewpoints.samples import SurfaceSamples
-from slbench.simulate.viewpoints.views import inside_volume, moved
+from slbench.simulate.viewpoints.views import (
+    Counting,
+    inside_volume,
+    moved,
+    within_incidence,
+)
 
 Array = NDArray[np.float64]
 
+#: A coordinate is right within so many deviations, and what a panel's pixels do to it.
+_SIGMAS, _NEAR_PX = 4.0, 1.0
 #: Pixels by which the automatic exposure is chosen.
 _PIXELS = 4096
 
@@ -58,8 +66,8 @@ class Predictor:
         With the part alone, of one camera and one projector.
     samples : SurfaceSamples
         Of the part.
-    within_volume : bool
-        Whether only points inside the measurement volume count.
+    counting : Counting, optional
+        What counts as measured.
 
     Raises
     ------
@@ -69,8 +77,10 @@ class Predictor:
         As :class:`slbench.design.views.seen.Frames`.
     """
 
-    def __init__(self, scene: Scene, samples: SurfaceSamples, within_volume: bool = True) -> None:
-        self.scene, self.samples, self.within_volume = scene, samples, within_volume
+    def __init__(
+        self, scene: Scene, samples: SurfaceSamples, counting: Counting | None = None
+    ) -> None:
+        self.scene, self.samples, self.counting = scene, samples, counting or Counting()
         self.place = scene.place
         # Mitsuba is needed from here on, and only here.
         from slbench.simulate.render.lookout import Lookout
@@ -98,7 +108,9 @@ class Predictor:
         kept = np.flatnonzero(seen)
         if len(kept):
             found = self._deviations(rig, kept, pixel[kept], panel[kept])
-            if self.within_volume:
+            near = (points[kept], self.samples.normals[kept])
+            found[~within_incidence(rig, *near, self.counting.max_incidence_deg)] = np.nan
+            if self.counting.within_volume:
                 world = pose.to_world(points[kept])
                 found[~inside_volume(self.scene.rig, self.place, world)] = np.nan
             sigma[kept] = found
@@ -124,13 +136,26 @@ class Predictor:
         white = (radiance + ambient)[chosen][lit]
         shutter = shutter_of([white], rig.camera, scene.detector, scene.exposure)
         blur = self._frames.blur(rig, points, by_pixel)
-        phase = self._frames.decoded(panel, blur, radiance, ambient, shutter)
-        axes = tuple(phase.coordinate)
-        own = np.stack([phase.sigma[axis][0] for axis in axes], axis=1)
-        coded = panel[:, ["uv".index(axis) for axis in axes]]
-        _, sensitivity = meet(rig, pixel, axes, coded, np.nan_to_num(own, nan=1.0))
-        deviation = np.sqrt(np.sum((sensitivity * own[..., np.newaxis]) ** 2, axis=(1, 2)))
-        return np.where(phase.mask[0], deviation, np.nan)
+        found = np.full(len(kept), np.nan)
+        for factor in scene.exposure.bracket:
+            given = (radiance, ambient, shutter.times(factor))
+            phase = self._frames.decoded(panel, blur, *given)
+            # The longest exposure that does not saturate tells most.
+            found = np.fmin(found, _deviation(rig, pixel, panel, phase))
+        return found
+
+
+def _deviation(rig: Rig, pixel: Array, panel: Array, phase: PhaseMap) -> Array:
+    """Return the standard deviation of points by that of their panel coordinates, (n,), mm."""
+    axes = tuple(phase.coordinate)
+    own = np.stack([phase.sigma[axis][0] for axis in axes], axis=1)
+    coded = panel[:, ["uv".index(axis) for axis in axes]]
+    _, sensitivity = meet(rig, pixel, axes, coded, np.nan_to_num(own, nan=1.0))
+    deviation = np.sqrt(np.sum((sensitivity * own[..., np.newaxis]) ** 2, axis=(1, 2)))
+    found = np.stack([phase.coordinate[axis][0] for axis in axes], axis=1)
+    with np.errstate(invalid="ignore"):  # a fringe order that noise makes wrong is no measurement
+        right = np.all(np.abs(found - coded) <= _SIGMAS * own + _NEAR_PX, axis=1)
+    return np.where(phase.mask[0] & right, deviation, np.nan)
 
 
 def _tangents(normals: Array) -> Array:

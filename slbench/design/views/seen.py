@@ -11,8 +11,8 @@ contrast that the finest fringes keep is the product of the transfer functions
 with the fringes' frequency :math:`f` in cycles a panel pixel and the derivatives of the panel
 coordinate by the camera's pixel; the panel's pixels are squares beside it.  All patterns are
 blurred by the Gaussian that takes as much from the finest fringes.  Frames go through the detector,
-and the scan's own decoder says what becomes of them: it knows what noise, saturation and too little
-modulation mean for any code.
+noise included, and the scan's own decoder says what becomes of them: it knows what noise,
+saturation, too little modulation and fringe orders in doubt mean for any code.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from slbench.core.errors import InputError
+from slbench.core.random import Word, generator
 from slbench.patterns import Axis, PatternSequence, PhaseMap, decode, panel_response
 from slbench.rig import Rig
 from slbench.scene.model import Scene
@@ -34,6 +35,8 @@ Array = NDArray[np.float64]
 _BLURS = np.concatenate(([0.0], 0.25 * 2.0 ** (0.5 * np.arange(21))))
 #: Places of a table a panel pixel, between which it is interpolated.
 _FINER = 4
+#: Of the detector's noise, which is the same in every plan.
+_SEED = 0
 #: Least contrast: fringes that defocus reverses have no Gaussian.
 _LEAST_CONTRAST = 1e-4
 
@@ -95,10 +98,12 @@ class Frames:
         for axis, indices, table in self._tables:
             k = "uv".index(axis)
             shown[indices] = _interpolated(table, panel[:, k], blur_px[:, k])
-        photons = shutter.photons * (radiance * shown + ambient)
-        frames = detector.expected_dn(photons, shutter.time_s)[:, np.newaxis, :]
+        light = (radiance * shown + ambient)[:, np.newaxis, :]
+        frames = detector.expose(
+            light, shutter.time_s, generator(_SEED, Word.NOISE), True, shutter.photons
+        )
         return decode(
-            np.ascontiguousarray(frames),
+            frames,
             self.sequence,
             noise=detector.noise_model(),
             saturation=detector.saturation_dn,

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slbench.cloud.triangulation import PointCloud
-from slbench.rig import Camera, Pose
+from slbench.rig import Pose, Rig
 from slbench.rig.pose import product
 from slbench.simulate.viewpoints.samples import SurfaceSamples
+from slbench.simulate.viewpoints.views import MAX_INCIDENCE_DEG, within_incidence
 
 Array = NDArray[np.float64]
 
@@ -32,10 +33,11 @@ _SIGMAS = 4.0
 def measured_samples(
     samples: SurfaceSamples,
     pose: Pose,
-    camera: Camera,
+    rig: Rig,
     cloud: PointCloud,
     points: Array,
     usable: NDArray[np.bool_],
+    max_incidence_deg: float = MAX_INCIDENCE_DEG,
 ) -> Array:
     """Return the deviations with which a view measured the samples, (N,), mm; NaN where not.
 
@@ -45,19 +47,23 @@ def measured_samples(
         Of the part.
     pose : Pose
         Of the part in the view.
-    camera : Camera
+    rig : Rig
     cloud : PointCloud
         Of the view: pixels and deviations.
     points : (M, 3) float
         Its points in the part's frame.
     usable : (M,) bool
         Points that count.
+    max_incidence_deg : float
+        Of the samples that count.
     """
     world, normals = pose.to_world(samples.points), product(samples.normals, pose.rotation.T)
+    camera = rig.camera
     pixel, jacobian = camera.project_with_jacobian(world)
     toward = camera.chief_origin(world) - world
     with np.errstate(invalid="ignore"):
         seen = camera.contains(pixel) & (np.sum(toward * normals, axis=1) > 0.0)
+        seen &= within_incidence(rig, world, normals, max_incidence_deg)
     found = np.full(len(samples), np.nan)
     kept = np.flatnonzero(seen)
     row = np.full(cloud.shape, -1, np.int64)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from slbench.capture.stack import WeightSource
 from slbench.core.io import OutputFolder, write_json, write_ply
 from slbench.core.show.drawing import write_figure
 from slbench.scene.model import Scene
@@ -33,6 +34,7 @@ def write_scanned_views(
     seed: int = 0,
     noise: bool = True,
     samples: int | None = None,
+    weights: WeightSource = "lit",
     score: bool = True,
     refine: bool = True,
     stage: StageErrors | None = None,
@@ -43,7 +45,7 @@ def write_scanned_views(
 
     Parameters
     ----------
-    scene, viewpoints, seed, noise, samples, score, refine, stage, on_progress
+    scene, viewpoints, seed, noise, samples, weights, score, refine, stage, on_progress
         As for :func:`slbench.simulate.viewpoints.scan.scan_views`.
     folder : path
         Gets a folder a view (:func:`slbench.simulate.folder.write_scan`), ``merged.ply`` in the
@@ -58,6 +60,7 @@ def write_scanned_views(
         "views": [view.name for view in viewpoints.views],
         "noise": noise,
         "samples": samples or scene.samples,
+        "weights": weights,
         "refine": refine,
         "stage_mm": errors.position_mm,
         "tilt_rad": errors.tilt_rad,
@@ -70,6 +73,7 @@ def write_scanned_views(
             seed=seed,
             noise=noise,
             samples=samples,
+            weights=weights,
             score=score,
             refine=refine,
             stage=stage,

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from slbench.capture.stack import WeightSource
 from slbench.cloud.registration import Registration, register_views
 from slbench.cloud.triangulation import PointCloud
 from slbench.core.errors import InputError, located, warn_user
@@ -214,7 +215,6 @@ class ScannedViews:
                     "name": view.name,
                     "points": int(np.count_nonzero(self.view == k)),
                     "completeness": float(self.completeness[k]),
-                    "seconds": float(self.seconds[k]),
                 }
                 for k, view in enumerate(self.viewpoints.views)
             ],
@@ -232,6 +232,7 @@ def scan_views(
     seed: int = 0,
     noise: bool = True,
     samples: int | None = None,
+    weights: WeightSource = "lit",
     score: bool = True,
     refine: bool = True,
     stage: StageErrors | None = None,
@@ -246,7 +247,7 @@ def scan_views(
     viewpoints : Viewpoints
     seed : int
         From which each view has one of its own.
-    noise, samples, score
+    noise, samples, weights, score
         As for :func:`slbench.simulate.scan.scan`, of each view.
     refine : bool
         False keeps the known poses.
@@ -272,6 +273,7 @@ def scan_views(
     """
     where = f"scene {scene.name}"
     base = alone(scene, viewpoints.object)
+    base.rig.only  # noqa: B018 - which refuses several
     _question(base, viewpoints, where)
     surface = sample_surface(base.objects[0].artefact.mesh, viewpoints.counting.samples)
     place, parts, measured = base.place, [], []
@@ -285,6 +287,7 @@ def scan_views(
                 seed=tagged_seed(seed, k),
                 noise=noise,
                 samples=samples,
+                weights=weights,
                 score=score,
                 on_progress=_of_view(on_progress, k, len(viewpoints)),
             )
@@ -296,7 +299,8 @@ def scan_views(
     for view, part, correction in zip(viewpoints.views, parts, poses, strict=True):
         points = correction.to_world(part.points)
         given = (part.cloud, points, part.usable)
-        deviations = measured_samples(surface, view.pose, base.rig.camera, *given)
+        steepest = viewpoints.counting.max_incidence_deg
+        deviations = measured_samples(surface, view.pose, base.rig, *given, steepest)
         measured.append(deviations.astype(np.float32))
     merged = np.concatenate(
         [pose.to_world(part.points) for pose, part in zip(poses, parts, strict=True)]

@@ -20,7 +20,7 @@ from slbench.core.errors import InputError
 from slbench.core.io import read_toml, write_toml
 from slbench.core.show.display import brief
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Interval, Step, Vector
+from slbench.core.validation.types import FINITE, Interval, Step, Vector
 from slbench.core.validation.values import validated
 from slbench.rig import Pose, Rig
 from slbench.scene.model import Scene
@@ -31,6 +31,9 @@ Array = NDArray[np.float64]
 MOST_VIEWS = 100
 #: Samples of a surface: fewer tell little, more take memory.
 SampleCount = Annotated[int, Interval(ge=100, le=2_000_000)]
+Incidence = Annotated[float, FINITE, Interval(ge=1.0, le=90.0)]
+#: At 80 degrees a pixel covers six times as much of a surface as of one that faces it.
+MAX_INCIDENCE_DEG = 80.0
 Measurements = Annotated[int, Interval(ge=1, le=MOST_VIEWS)]
 #: A name that is a file's, too.
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$", max_length=60)]
@@ -55,6 +58,7 @@ class _ViewsFile(Parameters):
     object: Annotated[int, Field(ge=0, le=10_000)] = 0
     min_measurements: Measurements = 1
     max_std_um: Step | None = None
+    max_incidence_deg: Incidence = MAX_INCIDENCE_DEG
     within_volume: bool = True
     samples: SampleCount = 20_000
     predicted_coverage: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
@@ -79,6 +83,9 @@ class Counting:
         Views that have to measure a place of the surface.
     max_std_mm : float
         Largest standard deviation (by noise) of a measurement; infinite for any.
+    max_incidence_deg : float
+        Largest angle between the surface's normal and the ways to both lenses: beyond, a pixel
+        covers more of the surface than its noise tells of.
     within_volume : bool
         Whether points outside the measurement volume do not count.
     samples : int
@@ -87,6 +94,7 @@ class Counting:
 
     min_measurements: int = 1
     max_std_mm: float = float("inf")
+    max_incidence_deg: float = MAX_INCIDENCE_DEG
     within_volume: bool = True
     samples: int = 20_000
 
@@ -129,6 +137,7 @@ class Viewpoints:
             "object": self.object,
             "min_measurements": counting.min_measurements,
             "max_std_um": 1e3 * counting.max_std_mm if np.isfinite(counting.max_std_mm) else None,
+            "max_incidence_deg": counting.max_incidence_deg,
             "within_volume": counting.within_volume,
             "samples": counting.samples,
             "predicted_coverage": self.predicted_coverage,
@@ -170,6 +179,7 @@ def read_views(path: str | Path) -> Viewpoints:
     counting = Counting(
         min_measurements=file.min_measurements,
         max_std_mm=np.inf if file.max_std_um is None else 1e-3 * file.max_std_um,
+        max_incidence_deg=file.max_incidence_deg,
         within_volume=file.within_volume,
         samples=file.samples,
     )
@@ -219,6 +229,18 @@ def moved(rig: Rig, motion: Pose) -> Rig:
     """Return a rig whose devices have been moved together."""
     devices = {name: one.posed(motion.after(one.pose)) for name, one in rig.devices.items()}
     return rig.having(**devices)
+
+
+def within_incidence(
+    rig: Rig, points: Array, normals: Array, max_incidence_deg: float
+) -> NDArray[np.bool_]:
+    """Return which points (N, 3) face both lenses of a rig within an angle."""
+    found = np.ones(len(points), np.bool_)
+    for device in (rig.camera, rig.projector):
+        toward = device.chief_origin(points) - points
+        least = np.cos(np.deg2rad(max_incidence_deg)) * np.linalg.norm(toward, axis=1)
+        found &= np.sum(toward * normals, axis=1) >= least
+    return found
 
 
 def inside_volume(rig: Rig, place: Pose, points: Array) -> NDArray[np.bool_]:

@@ -14,7 +14,7 @@ from slbench.objects.mesh.booleans import cylinder
 from slbench.rig import Pose
 from slbench.simulate.scan import scan
 from slbench.simulate.viewpoints.samples import sample_surface
-from slbench.simulate.viewpoints.views import moved
+from slbench.simulate.viewpoints.views import Counting, moved
 
 
 def crossing(points, source, axis, value):
@@ -97,7 +97,7 @@ def test_an_engine_block_hides_what_brute_force_says():
     pose = Pose(turn, np.array([0.0, 0.0, 5.0]))
     mesh = scene.objects[0].artefact.mesh
     samples = sample_surface(mesh, 600)
-    seen = Predictor(scene, samples, within_volume=False).predict(pose).seen
+    seen = Predictor(scene, samples, Counting(within_volume=False)).predict(pose).seen
     rig = moved(scene.rig, pose.inverse)
     expected = np.ones(len(samples), np.bool_)
     for device in (rig.camera, rig.projector):
@@ -126,7 +126,7 @@ def test_the_deviation_is_that_of_a_scan(patterns):
     posed = scene.objects[0]
     scene = replace(scene, objects=(replace(posed, pose=pose),))
     samples = sample_surface(posed.artefact.mesh, 4000)
-    found = Predictor(scene, samples, within_volume=False).predict(pose)
+    found = Predictor(scene, samples, Counting(within_volume=False)).predict(pose)
     result = scan(scene, score=False)
     measured, smooth = at_samples(result, pose, samples)
     both = smooth & found.measured() & np.isfinite(measured)
@@ -143,7 +143,7 @@ def test_points_outside_the_volume_do_not_count():
     samples = sample_surface(l_block().mesh, 2000)
     pose = Pose(np.eye(3), np.array([0.0, 0.0, -8.0]))  # the floor at z = -18, of 15
     inside = Predictor(scene, samples).predict(pose)
-    anywhere = Predictor(scene, samples, within_volume=False).predict(pose)
+    anywhere = Predictor(scene, samples, Counting(within_volume=False)).predict(pose)
     assert np.array_equal(inside.seen, anywhere.seen)
     z = pose.to_world(samples.points)[:, 2]
     half = 0.5 * scene.rig.volume_mm[2]

@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 from scenes_small import small
+from view_parts import l_block
 
 from slbench.core.errors import InputError
 from slbench.rig import Pose
+from slbench.scene.file import load_scene
+from slbench.simulate.viewpoints.scenes import named_files, write_scenes
 from slbench.simulate.viewpoints.views import (
     Counting,
     Viewpoint,
@@ -95,6 +98,32 @@ def test_a_rig_moved_against_the_part_sees_the_same():
     for name, device in rig.devices.items():
         expected = device.project(pose.to_world(points))
         assert np.allclose(near.devices[name].project(points), expected, atol=1e-9)
+
+
+def test_scenes_of_single_views_stand_alone(tmp_path):
+    home, away = tmp_path / "home", tmp_path / "away"
+    (home / "parts").mkdir(parents=True)
+    away.mkdir()
+    l_block().mesh.as_trimesh.export(home / "parts" / "block.stl")
+    (home / "parts" / "block.toml").write_text(
+        'kind = "mesh"\nsource = "drawn"\n[parameters]\npath = "block.stl"\nunit = "mm"\n'
+    )
+    (home / "mine.toml").write_text(
+        'extends = "hardware/macro-ch6"\nname = "mine"\n'
+        '[[objects]]\nartefact = "parts/block.toml"\nmaterial = "matt-white-spray"\n'
+        '[[objects]]\nartefact = "plane"\n'
+    )
+    scene = load_scene(home / "mine.toml", changes=["camera.f_number=8"])
+    pose = Pose(turned((1, 0, 0), 30.0), np.array([1.0, 2.0, 3.0]))
+    views = Viewpoints((Viewpoint("view-01", pose, "leant"),))
+    (written,) = write_scenes(away, scene, views, home / "mine.toml")
+    assert sorted(named_files(scene.specification, home)) == ["parts/block.stl", "parts/block.toml"]
+    read = load_scene(written)
+    (part,) = read.objects
+    assert np.allclose(part.pose.rotation, pose.rotation, atol=1e-14)
+    assert np.array_equal(part.artefact.mesh.vertices, scene.objects[0].artefact.mesh.vertices)
+    assert read.rig.camera == scene.rig.camera
+    assert read.sequence.name == scene.sequence.name
 
 
 def test_the_volume_is_about_its_place():
