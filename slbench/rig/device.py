@@ -21,6 +21,7 @@ focusing does not change it.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -31,6 +32,7 @@ from slbench.core.show.display import length, numbers
 from slbench.core.validation.types import (
     MAX_PIXELS,
     Angle,
+    Barrel,
     Blur,
     Count,
     Distortion,
@@ -63,6 +65,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+#: Points around a barrel's rim, for pictures.
+_RIM = 48
+
 
 @dataclass(frozen=True)
 class Device(Value):
@@ -90,6 +95,9 @@ class Device(Value):
     body_mm : (float, float, float) or None
         Size of the housing along x, y, z, a box behind the nodal point with the optical axis
         through the middle of its front face; None is a device without a body.
+    barrel_mm : sequence of (float, float) or None
+        In the place of the box, a barrel turned about the optical axis: distances behind the
+        nodal point, rising, with the radius there.  Between two it is the frustum of a cone.
     """
 
     width: Pixels
@@ -102,6 +110,7 @@ class Device(Value):
     pose: Pose = field(default_factory=Pose)
     body_mm: Size | None = None
     blur_px: Blur = 0.0
+    barrel_mm: Barrel | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -112,6 +121,10 @@ class Device(Value):
             centre = ((self.width - 1) / 2.0, (self.height - 1) / 2.0)
             object.__setattr__(self, "principal_point", centre)
         object.__setattr__(self, "distortion", fewest(self.distortion))
+        if self.barrel_mm is not None:
+            behind = [place for place, _ in self.barrel_mm]
+            if any(a >= b for a, b in pairwise(behind)):
+                raise InputError("device: barrel_mm", "distances that rise (mm)", behind)
 
     def __repr__(self) -> str:
         lens, pitch = self.lens, f"{1e3 * self.pitch_mm[0]:.4g}"
@@ -371,12 +384,46 @@ class Device(Value):
         return self.pose.to_world(np.concatenate(local))
 
     @property
+    def has_body(self) -> bool:
+        """Whether the device has a housing: a box or a barrel."""
+        return self.body_mm is not None or self.barrel_mm is not None
+
+    @property
     def body_corners(self) -> Array:
-        """The eight corners of the housing in the world, (8, 3); (0, 3) without a body."""
-        if self.body_mm is None:
-            return np.empty((0, 3))
-        x, y, z = self.body_mm
-        return self.pose.to_world(box_corners((-x / 2, -y / 2, -z), (x / 2, y / 2, 0.0)))
+        """The eight corners of the housing in the world, (8, 3); (0, 3) without a body.
+
+        Of a barrel points around its rims, (m, 3), for pictures.
+        """
+        parts = self.body_parts
+        return np.concatenate(parts) if parts else np.empty((0, 3))
+
+    @property
+    def body_parts(self) -> tuple[Array, ...]:
+        """The housing's convex parts in the world, as points of their rims, (m, 3) each."""
+        if self.barrel_mm is None and self.body_mm is not None:
+            x, y, z = self.body_mm
+            corners = box_corners((-x / 2, -y / 2, -z), (x / 2, y / 2, 0.0))
+            return (self.pose.to_world(corners),)
+        turn = 2.0 * np.pi * np.arange(_RIM) / _RIM
+        rims = [
+            np.column_stack((r * np.cos(turn), r * np.sin(turn), np.full(_RIM, -z)))
+            for z, r in self.barrel_mm or ()
+        ]
+        return tuple(self.pose.to_world(np.concatenate(ends)) for ends in pairwise(rims))
+
+    def in_body(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Return a mask of world points (..., 3) inside the housing."""
+        local = self.pose.to_local(points)
+        behind = -local[..., 2]
+        if self.barrel_mm is None and self.body_mm is not None:
+            x, y, z = self.body_mm
+            inside = (np.abs(local[..., 0]) < x / 2) & (np.abs(local[..., 1]) < y / 2)
+            return np.asarray(inside & (behind > 0) & (behind < z))
+        if self.barrel_mm is None:
+            return np.zeros(behind.shape, dtype=bool)
+        places, radii = np.transpose(self.barrel_mm)
+        radius = np.interp(behind, places, radii, left=0.0, right=0.0)
+        return np.asarray(np.hypot(local[..., 0], local[..., 1]) < radius)
 
     def relative_illumination(self, pixels: ArrayLike) -> Array:
         """Return the lens's fall-off at pixels (..., 2): cos^4 of the field angle, or 1.

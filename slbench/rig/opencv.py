@@ -6,7 +6,7 @@ projector; ``R``, ``T`` from camera to projector coordinates (the convention of
 coordinates (default: identity, the world is the camera's frame).  OpenCV has no word for
 apertures, so these are keys of our own, all optional: ``pitch_um_*`` (2 numbers),
 ``aperture_radius_mm_*``, ``focus_distance_mm_*``, ``lens_*``, ``natural_vignetting_*``,
-``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``name_*``,
+``wavelength_nm_*``, ``blur_px_*``, ``body_mm_*`` (3 numbers), ``barrel_mm_*`` (pairs), ``name_*``,
 ``fill_factor_camera``, ``shading_camera``, ``flux_w``,
 ``bit_depth_projector``, ``gamma_projector``, ``response_projector`` (rows of value and radiance, in
 the place of gamma), ``volume_mm``.  Where the parameters' covariance is
@@ -62,7 +62,7 @@ _NOMINAL_PITCH_UM = 5.0
 #: Entries that a file may have, without the name of a device; those of one device alone.
 _OF_DEVICES = (
     *("K", "dist", "size", "pitch_um", "aperture_radius_mm", "focus_distance_mm", "lens"),
-    *("natural_vignetting", "wavelength_nm", "blur_px", "body_mm", "name"),
+    *("natural_vignetting", "wavelength_nm", "blur_px", "body_mm", "barrel_mm", "name"),
 )
 _ENTRIES = (
     *(f"{stem}_{name}" for stem in _OF_DEVICES for name in ALONE),
@@ -107,6 +107,7 @@ _KEYS = {
     "radiance": "response_{}",
     "volume": "volume_mm",
     "body_mm": "body_mm_{}",
+    "barrel_mm": "barrel_mm_{}",
     "devices": "name_{}",
 }
 
@@ -217,6 +218,8 @@ def _device_entries(name: str, device: Camera | Projector) -> dict[str, Any]:
     values[f"blur_px_{name}"] = float(device.blur_px)
     if device.body_mm is not None:
         values[f"body_mm_{name}"] = np.array(device.body_mm, dtype=np.float64)
+    if device.barrel_mm is not None:
+        values[f"barrel_mm_{name}"] = np.array(device.barrel_mm, dtype=np.float64)
     values[f"natural_vignetting_{name}"] = int(device.lens.natural_vignetting)
     return values
 
@@ -396,6 +399,7 @@ def _device_arguments(values: _Values, name: str, depth_mm: float | None) -> dic
         body = tuple(float(size) for size in values.array(f"body_mm_{name}", (3,)))
     return {
         "body_mm": body,
+        "barrel_mm": values.pairs(f"barrel_mm_{name}"),
         "width": int(width),
         "height": int(height),
         "pitch_mm": (float(pitch[0]), float(pitch[1])),

@@ -205,7 +205,7 @@ def likely_cause(item: SceneObject, rig: Rig) -> str:
         if np.all((low < device.pose.position) & (device.pose.position < high)):
             return f"the {name}'s lens lies within the box about it"
     for name, device in devices.items():
-        if _in_body(device, vertices):
+        if device.in_body(vertices).any():
             return f"it reaches into the {name}'s housing"
     for name, device in devices.items():
         if np.all(device.pose.to_local(vertices)[:, 2] <= 0):
@@ -224,15 +224,6 @@ def _by(lengths: Array, between: str = " x ") -> str:
         f"{x:.0f}" if abs(x) >= 1e3 else f"{x:.3g}" if abs(x) >= 1e-3 else "0" for x in lengths
     )
     return between.join(texts)
-
-
-def _in_body(device: Device, vertices: Array) -> bool:
-    if device.body_mm is None:
-        return False
-    x, y, z = device.body_mm
-    local = device.pose.to_local(vertices)
-    inside = np.abs(local) < [x / 2, y / 2, np.inf]
-    return bool(np.any(inside.all(axis=1) & (local[:, 2] > -z) & (local[:, 2] < 0)))
 
 
 def _outside(device: Device, vertices: Array) -> str | None:

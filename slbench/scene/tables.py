@@ -20,6 +20,7 @@ from slbench.core.errors import InputError
 from slbench.core.units import Unit
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import (
+    Barrel,
     Blur,
     Bounces,
     Coordinate,
@@ -55,6 +56,7 @@ class LensBeside(Parameters):
     wavelength_nm: NotNegative | None = None
     blur_px: Blur | None = None
     body_mm: tuple[Measure, Measure, Measure] | None = None
+    barrel_mm: Barrel | None = None
 
     @model_validator(mode="after")
     def _one_aperture(self) -> LensBeside:
@@ -317,14 +319,18 @@ class FocusTable(Parameters):
             raise ValueError("move and apart with heights_mm or settings only")
         return self
 
+    def heights(self, depth_mm: float) -> tuple[float, ...] | None:
+        """Return the heights of a sweep through a volume; None where distances are stated."""
+        if self.settings is None:
+            return self.heights_mm
+        # The middles of slices of the volume.
+        slices = (np.arange(self.settings) + 0.5) / self.settings - 0.5
+        return tuple((depth_mm * slices).tolist())
+
     def focus(self, rig: Rig, place: Pose) -> Focus:
         """Return the settings; a sweep in `settings` goes through the height of the volume."""
-        if self.settings is not None or self.heights_mm is not None:
-            heights = self.heights_mm
-            if heights is None:  # the middles of slices of the volume
-                count = self.settings or 1
-                slices = (np.arange(count) + 0.5) / count - 0.5
-                heights = tuple((rig.volume_mm[2] * slices).tolist())
+        heights = self.heights(rig.volume_mm[2])
+        if heights is not None:
             return Focus.sweep(rig, heights, self.move, self.apart, place)
         kept = rig.camera.lens.focus_distance_mm, rig.projector.lens.focus_distance_mm
         count = len(self.camera_mm or self.projector_mm or ())

@@ -23,6 +23,7 @@ __all__ = [
     "Aperture",
     "Axes",
     "Axis",
+    "Barrel",
     "BitDepth",
     "Blur",
     "Bounces",
@@ -254,3 +255,5 @@ Shading = Annotated[
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 #: Lengths along x, y and z, mm.
 Size = tuple[Measure, Measure, Measure]
+#: Profile of a barrel: distances behind the lens and radii there, mm.
+Barrel = Annotated[tuple[tuple[NotNegative, Measure], ...], MinLen(2), MaxLen(16)]

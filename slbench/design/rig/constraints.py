@@ -11,7 +11,8 @@ g6  the bodies are apart (eq. 19)
 
 **Sign.** The thesis has g = -1 where a constraint holds and 1 elsewhere; here each is a
 *margin* in mm, **positive where it holds**: how far the rig is from violating it.  A rig is
-feasible where all six margins are positive.
+feasible where all six margins are positive.  Of barrels in several parts g4..g6 have the
+nearest, or the most overlapping, pair of parts.
 
 An in-focus volume is cut out by planes: four through the lens and the panel's edges, and two
 where the circle of confusion reaches its limit, ``|n . X - 1| = rho Z`` with ``n`` of
@@ -341,11 +342,18 @@ def _constant(device: Device, circle_px: float, moves: bool) -> tuple[Array, ...
         rays = np.c_[field, np.ones(4)]
         sides, offsets = np.cross(rays, np.roll(rays, -1, axis=0)), np.zeros(4)
     planes = np.c_[sides, offsets] / np.linalg.norm(sides, axis=1)[:, np.newaxis]
+    return numbers, tilt_rotation(*device.tilt_rad)[2], planes, field, *_body(device)
+
+
+def _body(device: Device) -> tuple[Array, Array]:
+    """Return a box's corners (8, 3) or a barrel's profile (m, 2); the other one is empty."""
+    if device.barrel_mm is not None:
+        return np.empty((0, 3)), np.array(device.barrel_mm)
     assert device.body_mm is not None  # by Hardware
     x, y, depth = device.body_mm
     face = 0.5 * np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
     body = np.concatenate((np.c_[face, np.full(4, -depth)], np.c_[face, np.zeros(4)]))
-    return numbers, tilt_rotation(*device.tilt_rad)[2], planes, field, body
+    return body, np.empty((0, 2))
 
 
 def _field(device: Device) -> Array:

@@ -143,8 +143,9 @@ class Hardware(Value):
                     f"{name} working distance", "shortest < longest (mm)", f"{near}, {far}"
                 )
             device: Device = getattr(self, name)
-            if device.body_mm is None:
-                raise InputError(f"{name} body_mm", "the size of the housing (mm)", "none")
+            if not device.has_body:
+                expected = "the size of the housing (mm), or barrel_mm"
+                raise InputError(f"{name} body_mm", expected, "none")
             refocused = self.refocused[("camera", "projector").index(name)]
             if refocused and device.lens.kind == "telecentric" and any(device.distortion):
                 raise InputError(

@@ -184,7 +184,8 @@ def draw_rig(
         distance = float(np.linalg.norm(centre - place.position))
         frustum = device.frustum(1e-3 * distance, 1.05 * distance)
         _outline(axes, frustum, across, colour, 0.12)
-        _outline(axes, device.body_corners, across, colour, 0.6)
+        for part in device.body_parts:
+            _outline(axes, part, across, colour, 0.6)
         axes.plot(centre[across], centre[2], "o", color=colour, markersize=4, label=name)
         ends = np.stack((centre, place.position))
         axes.plot(ends[:, across], ends[:, 2], color=colour, linewidth=0.7)

@@ -18,6 +18,7 @@ from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import (
     FINITE,
     Aperture,
+    Barrel,
     Blur,
     Distortion,
     Fraction,
@@ -60,6 +61,7 @@ class Optics(Parameters):
     distortion: Distortion = (0.0, 0.0, 0.0, 0.0, 0.0)
     tilt_deg: tuple[TiltDegrees, TiltDegrees] = (0.0, 0.0)
     body_mm: tuple[Measure, Measure, Measure] | None = None
+    barrel_mm: Barrel | None = None
     # By the data sheet of the lens: focal length and the f-number engraved on it.
     lens_mm: Measure | None = None
     lens_f_number: Measure | None = None
@@ -143,6 +145,7 @@ class Optics(Parameters):
             "distortion": self.distortion,
             "blur_px": self.blur_px,
             "body_mm": self.body_mm,
+            "barrel_mm": self.barrel_mm,
             "tilt_rad": (float(np.deg2rad(self.tilt_deg[0])), float(np.deg2rad(self.tilt_deg[1]))),
         }
 

@@ -7,7 +7,8 @@ A device is a tuple of what does not depend on the configuration:
 * `tilt` (3,): the sensor's normal in the lens's axes;
 * `sides` (4, 4): unit normals of the field of view's sides, pointing inwards, and offsets;
 * `field` (4, 2): the panel's corners in normalised coordinates, mm for a telecentric lens;
-* `body` (8, 3): the housing's corners in the device's frame.
+* `body` (8, 3): the housing's corners in the device's frame, or none of a barrel;
+* `barrel` (m, 2): its profile, distances behind the lens and radii, or none of a box.
 """
 
 from __future__ import annotations
@@ -16,28 +17,34 @@ import numpy as np
 from numba import njit
 
 from slbench.design.rig.convex import signed_distance
+from slbench.design.rig.kernels import rounded
 
 #: A gap, mm, that rounding cannot have made.
 _CLEARLY_APART = 1e-6
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def focus_planes(device, distance, planes):  # type: ignore[no-untyped-def]
+def focus_of(device, distance):  # type: ignore[no-untyped-def]
+    """Return where a device at `distance` from the origin is focused, mm."""
+    return distance if device[0][4] > 0.0 else device[0][2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def focus_planes(device, focus, planes):  # type: ignore[no-untyped-def]
     """Write the planes around the in-focus volume: unit normal and offset, (6, 4).
 
-    In the device's frame, for a device at `distance` from the origin: four sides of its view,
-    then two limits of its depth of field; ``normal . X + offset`` is positive inside.
+    In the device's frame, for a device focused at `focus`: four sides of its view, then two
+    limits of its depth of field; ``normal . X + offset`` is positive inside.
     """
     lens, tilt, sides = device[0], device[1], device[2]
-    focal, aperture, focus, limit = lens[0], lens[1], lens[2], lens[3]
+    focal, aperture, limit = lens[0], lens[1], lens[3]
     telecentric = lens[5] > 0.0
     planes[:4] = sides
     if aperture == 0.0:  # a pinhole sees all that is in front of it sharply
         planes[4] = (0.0, 0.0, 1.0, 0.0)
         planes[5] = (0.0, 0.0, 0.0, np.inf)
         return
-    scale = distance / focus if lens[4] > 0.0 and telecentric else 1.0
-    focus = distance if lens[4] > 0.0 else focus
+    scale = focus / lens[2] if telecentric else 1.0
     principal = focal * scale
     nx, ny, nz = -tilt[0] / (principal * tilt[2]), -tilt[1] / (principal * tilt[2]), 1.0 / focus
     rho = limit / (2.0 * aperture * scale * principal)
@@ -53,15 +60,20 @@ def focus_planes(device, distance, planes):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def slacks(device, rotations, positions, distances, points, out):  # type: ignore[no-untyped-def]
-    """Write the distances of points (m, 3) to the planes of n in-focus volumes, (n, m, 6)."""
+def slacks(device, rotations, positions, focuses, points, out):  # type: ignore[no-untyped-def]
+    """Write the distances of points (m, 3) to the planes of n in-focus volumes, (n, m, 4 + 2 s).
+
+    `focuses` (n, s) holds the distances in focus at the settings of a sweep: after the four
+    sides of the view come the near and the far limit at each setting.
+    """
+    planes = np.empty((6, 4))
     for i in range(out.shape[0]):
-        planes = np.empty((6, 4))
-        focus_planes(device, distances[i], planes)
-        for k in range(points.shape[0]):
-            x, y, z = _local(points[k], rotations[i], positions[i])
-            for j in range(6):
-                out[i, k, j] = _height(planes[j], x, y, z)
+        for s in range(focuses.shape[1]):
+            focus_planes(device, focuses[i, s], planes)
+            for k in range(points.shape[0]):
+                x, y, z = _local(points[k], rotations[i], positions[i])
+                for j in range(4 if s else 0, 6):
+                    out[i, k, j + 2 * s if j > 3 else j] = _height(planes[j], x, y, z)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -85,7 +97,7 @@ def parts(ranges, devices, rotations, positions, distances, valid, corners, exac
             out[i, d] = place[2]
             out[i, 2 + 2 * d] = distance - ranges[d, 0]
             out[i, 3 + 2 * d] = ranges[d, 1] - distance
-            focus_planes(device, distance, planes)
+            focus_planes(device, focus_of(device, distance), planes)
             view = depth = np.inf
             far = -np.inf
             for k in range(8):
@@ -99,12 +111,52 @@ def parts(ranges, devices, rotations, positions, distances, valid, corners, exac
             out[i, 7 + 2 * d] = depth
             body = device[4]
             frustum(device, far, turn, place, frusta[d])
-            for k in range(8):
+            for k in range(len(body)):
                 _to_world(body[k, 0], body[k, 1], body[k, 2], turn, place, bodies[d, k])
         enough = np.inf if exact else _CLEARLY_APART
-        out[i, 10] = signed_distance(bodies[0], frusta[1], enough)
-        out[i, 11] = signed_distance(bodies[1], frusta[0], enough)
-        out[i, 12] = signed_distance(bodies[0], bodies[1], enough)
+        if len(devices[0][5]) == 0 and len(devices[1][5]) == 0:
+            out[i, 10] = signed_distance(bodies[0], frusta[1], enough)
+            out[i, 11] = signed_distance(bodies[1], frusta[0], enough)
+            out[i, 12] = signed_distance(bodies[0], bodies[1], enough)
+            continue
+        first = _parts(devices[0][5], bodies[0], rotations[0][i], positions[0][i])
+        second = _parts(devices[1][5], bodies[1], rotations[1][i], positions[1][i])
+        views = (_polytope(frusta[0]), _polytope(frusta[1]))
+        out[i, 10] = out[i, 11] = out[i, 12] = np.inf
+        for a in range(len(first[1])):
+            part = (first[0][a], first[1][a], first[2])
+            out[i, 10] = _least(out[i, 10], rounded.signed_distance(part, views[1], enough))
+            for b in range(len(second[1])):
+                other = (second[0][b], second[1][b], second[2])
+                out[i, 12] = _least(out[i, 12], rounded.signed_distance(part, other, enough))
+        for b in range(len(second[1])):
+            other = (second[0][b], second[1][b], second[2])
+            out[i, 11] = _least(out[i, 11], rounded.signed_distance(other, views[0], enough))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _parts(barrel, corners, rotation, position):  # type: ignore[no-untyped-def]
+    """Return the convex parts of a body: discs' centres (p, m, 3), radii (p, m), their axis."""
+    axis = np.empty(3)
+    for j in range(3):
+        axis[j] = rotation[j, 2]
+    if len(barrel) == 0:
+        centres, radii = np.empty((1, 8, 3)), np.zeros((1, 8))
+        centres[0] = corners
+        return centres, radii, axis
+    count = len(barrel) - 1
+    centres, radii = np.empty((count, 2, 3)), np.empty((count, 2))
+    for k in range(count):
+        for end in range(2):
+            _to_world(0.0, 0.0, -barrel[k + end, 0], rotation, position, centres[k, end])
+            radii[k, end] = barrel[k + end, 1]
+    return centres, radii, axis
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _polytope(corners):  # type: ignore[no-untyped-def]
+    """Return a polytope as the hull of discs without a radius."""
+    return corners, np.zeros(len(corners)), np.array([0.0, 0.0, 1.0])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
