@@ -40,9 +40,10 @@ def evaluate(
     from slbench.scene.changes import read_changes
 
     made = read_changes(changes or (), "--set")
-    rows = read_configurations(configurations)
+    loaded = load_hardware(hardware, allow_modules=allow_modules, changes=made)
+    rows = read_configurations(configurations, loaded.variables)
     result = run(
-        load_hardware(hardware, allow_modules=allow_modules, changes=made),
+        loaded,
         rows,
         stride=(1, 1) if full else THESIS_STRIDE,
         convention=convention,

@@ -71,6 +71,7 @@ def rig(
     from slbench.core import resources
     from slbench.design.rig.evaluate import evaluate as run
     from slbench.design.rig.hardware import (
+        are_angles,
         load_hardware,
         own_configuration,
         read_configurations,
@@ -89,7 +90,8 @@ def rig(
     path = resources.find("scenes", hardware)
     begin: Any = None
     if start is not None:
-        begin = Front.load(start) if start.suffix.lower() == ".npz" else read_configurations(start)
+        stored = start.suffix.lower() == ".npz"
+        begin = Front.load(start) if stored else read_configurations(start, loaded.variables)
     with progress(as_json) as report:
         design = optimise(
             loaded,
@@ -104,10 +106,11 @@ def rig(
         )
     if pick is not None:
         design.member(pick)  # refuse a wrong number before anything is written
-    known = None if micro else thesis_configurations(loaded)
+    plain = not (micro or loaded.optics)
+    known = thesis_configurations(loaded) if plain else None
     marked = None if known is None else run(loaded, known)
     content = apply_changes(read_merged(path, allow_modules), made)
-    own = None if micro else own_configuration(content)
+    own = own_configuration(content) if plain else None
     baseline = None if own is None else run(loaded, own)
     parameters = {
         "hardware": hardware,
@@ -124,7 +127,8 @@ def rig(
     )
     member = design.member(pick)
     best = design.evaluation.rows()[member]
-    variables = np.append(design.front.x[member, :4], np.rad2deg(design.front.x[member, 4:]))
+    angles = are_angles(loaded.variables)
+    variables = np.where(angles, np.rad2deg(design.front.x[member]), design.front.x[member])
     summary: dict[str, Any] = {
         "front": len(design.front),
         "clusters": len(design.clusters),
@@ -149,8 +153,16 @@ def rig(
         f"{design.seconds:.1f} s"
     )
     print_table(_rigs_table(design, baseline, pick))
-    names = ("z_ref", "w", "h", "l", "alpha_P", "beta_P")
+    names = ("z_ref", "w", "h", "l", "alpha_P", "beta_P", *loaded.optics)
     print("rig: " + ", ".join(f"{n} {v:.5g}" for n, v in zip(names, variables, strict=True)))
+    if micro:
+        box = " x ".join(f"{size:.4g}" for size in summary["box_mm"])
+        settings = len(loaded.sweep.heights_mm) if loaded.sweep else 1
+        print(
+            f"volume: {box} mm, in focus at {settings} settings"
+            if settings > 1
+            else f"volume: {box} mm"
+        )
     print(f"coded: {best['axes']} of the panel")
     print(f"Written to {out}: scan it with slbench scan {out / 'scene.toml'}")
     if design.front.stopped == "interrupted":

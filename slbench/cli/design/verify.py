@@ -54,7 +54,7 @@ def verify(
     if configurations is None:
         rows = feasible_sample(loaded, count, seed)
     else:
-        rows = read_configurations(configurations)
+        rows = read_configurations(configurations, loaded.variables)
     with progress(as_json) as report:
         result = run(
             loaded,

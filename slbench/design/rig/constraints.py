@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.core.random import generator
 from slbench.core.show.display import brief
-from slbench.design.rig.hardware import VARIABLES, Hardware, Placement
+from slbench.design.rig.hardware import VARIABLES, Hardware, Placement, are_angles
 from slbench.design.rig.kernels import margins as kernel
 from slbench.rig import DesignVariables, Device
 from slbench.rig.optics.distortion import tilt_rotation
@@ -63,6 +63,7 @@ PARTS = (
 #: The first part of each constraint.
 _FIRST = [[name for name, _ in PARTS].index(name) for name in CONSTRAINTS]
 
+_NO_OPTICS = np.empty((1, 0))
 #: Rounds of :func:`diagnose`'s refinement, and by how much each one narrows the search.
 _ROUNDS, _NARROWER = 40, 0.8
 _PER_ROUND = 64
@@ -123,23 +124,24 @@ def focus_slacks(
     Parameters
     ----------
     hardware : Hardware
-    configurations : (n, 6) float or list of DesignVariables
+    configurations : (n, 6 + m) float or list of DesignVariables
     points : (m, 3) float
         World coordinates, mm.
 
     Returns
     -------
-    (n, m, 12) float
-        mm, positive inside; for each device four sides of its view and two limits of its
-        depth of field (infinite for a pinhole).
+    (n, m, 2 (4 + 2 s)) float
+        mm, positive inside; for each device four sides of its view and, for each of the s settings
+        of the sweep, two limits of its depth of field (infinite for a pinhole).
     """
     placement = hardware.place(configurations)
     world = np.ascontiguousarray(points, dtype=np.float64)
-    out = np.empty((2, len(placement.valid), len(world), 6))
-    for device, rotation, position, distance, into in zip(
-        _constants(hardware), *_placed(placement), out, strict=True
+    focuses = hardware.focuses(placement)
+    out = np.empty((2, len(placement.valid), len(world), 4 + 2 * focuses.shape[2]))
+    for device, rotation, position, focus, into in zip(
+        _constants(hardware, placement.optics), *_placed(placement)[:2], focuses, out, strict=True
     ):
-        kernel.slacks(device, rotation, position, distance, world, into)
+        kernel.slacks(device, rotation, position, focus, world, into)
     return np.concatenate(tuple(out), axis=2)
 
 
@@ -159,6 +161,8 @@ class Diagnosis:
         Of each constraint, the largest margin found anywhere, mm.
     reasons : tuple of str
         What is wrong with the configuration (:func:`explain`); empty if it is feasible.
+    variables : tuple of str
+        Names of the configuration's values.
     """
 
     feasible_share: float
@@ -166,6 +170,7 @@ class Diagnosis:
     margins: Array
     highest: Array
     reasons: tuple[str, ...]
+    variables: tuple[str, ...] = VARIABLES
 
     __repr__ = brief
 
@@ -175,8 +180,9 @@ class Diagnosis:
         return bool(np.all(self.margins > 0))
 
     def __str__(self) -> str:
-        values = np.concatenate((self.configuration[:4], np.rad2deg(self.configuration[4:])))
-        where = ", ".join(f"{n} {v:.5g}" for n, v in zip(VARIABLES, values, strict=True))
+        own = self.configuration
+        values = np.where(are_angles(self.variables), np.rad2deg(own), own)
+        where = ", ".join(f"{n} {v:.5g}" for n, v in zip(self.variables, values, strict=True))
         if self.feasible:
             return f"feasible, with {self.margins.min():.3g} mm to spare at {where}"
         alone = [n for n, most in zip(CONSTRAINTS, self.highest, strict=True) if most <= 0]
@@ -204,8 +210,8 @@ def diagnose(hardware: Hardware, n: int = 4096, seed: int = 0) -> Diagnosis:
     if n < 1:
         raise InputError("number of configurations", "at least 1", n)
     rng = generator(seed)
-    low, high = np.array(hardware.lower), np.array(hardware.upper)
-    rows = low + (high - low) * rng.random((n, 6))
+    low, high = hardware.bounds
+    rows = low + (high - low) * rng.random((n, len(low)))
     values = margins(hardware, rows)
     share = float(np.mean(np.all(values > 0, axis=1)))
     highest = values.max(axis=0)
@@ -213,7 +219,7 @@ def diagnose(hardware: Hardware, n: int = 4096, seed: int = 0) -> Diagnosis:
     row, value = rows[best], values[best]
     reach = 0.25 * (high - low)
     for _ in range(_ROUNDS):
-        rows = np.clip(row + reach * rng.uniform(-1, 1, (_PER_ROUND, 6)), low, high)
+        rows = np.clip(row + reach * rng.uniform(-1, 1, (_PER_ROUND, len(low))), low, high)
         values = margins(hardware, rows)
         highest = np.maximum(highest, values.max(axis=0))
         best = int(np.argmax(values.min(axis=1)))
@@ -221,7 +227,8 @@ def diagnose(hardware: Hardware, n: int = 4096, seed: int = 0) -> Diagnosis:
             row, value = rows[best], values[best]
         else:
             reach *= _NARROWER
-    return Diagnosis(share, row, value, highest, tuple(explain(hardware, row)))
+    reasons = tuple(explain(hardware, row))
+    return Diagnosis(share, row, value, highest, reasons, hardware.variables)
 
 
 def feasible_sample(hardware: Hardware, n: int, seed: int = 0) -> Array:
@@ -246,10 +253,10 @@ def feasible_sample(hardware: Hardware, n: int, seed: int = 0) -> Array:
     if n < 1:
         raise InputError("number of configurations", "at least 1", n)
     rng = generator(seed)
-    low, high = np.array(hardware.lower), np.array(hardware.upper)
-    found = np.empty((0, 6))
+    low, high = hardware.bounds
+    found = np.empty((0, len(low)))
     for _ in range(32):
-        rows = low + (high - low) * rng.random((4096, 6))
+        rows = low + (high - low) * rng.random((4096, len(low)))
         found = np.vstack((found, rows[np.all(margins(hardware, rows) > 0, axis=1)]))
         if len(found) >= n:
             return found[:n]
@@ -273,7 +280,8 @@ class Constraints:
     """
 
     def __init__(self, hardware: Hardware) -> None:
-        self._devices = _constants(hardware)
+        self._hardware = hardware
+        self._devices = None if hardware.optics else _constants(hardware, _NO_OPTICS)
         self._ranges = np.array([hardware.camera_distance_mm, hardware.projector_distance_mm])
         self._corners = hardware.volume_corners
 
@@ -283,10 +291,16 @@ class Constraints:
         Unless `exact`, those of g4..g6 may be less than they are where they are positive.
         """
         out = np.empty((len(placement.valid), len(PARTS)))
+        devices = self._devices or _constants(self._hardware, placement.optics)
+        rotations, positions, distances = _placed(placement)
+        focuses = self._hardware.focuses(placement, swept=False)[..., 0]
         kernel.parts(
             self._ranges,
-            self._devices,
-            *_placed(placement),
+            devices,
+            rotations,
+            positions,
+            distances,
+            (focuses[0], focuses[1]),
             placement.valid,
             self._corners,
             exact,
@@ -308,18 +322,25 @@ def _placed(p: Placement) -> tuple[tuple[Array, Array], tuple[Array, Array], tup
     )
 
 
-def _constants(hardware: Hardware) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
-    """Return camera and projector as the kernels take them."""
-    camera, projector = (
-        _constant(device, hardware.circle_px, moves)
-        for device, moves in zip(
-            (hardware.camera, hardware.projector), hardware.refocused, strict=True
-        )
-    )
+def _constants(hardware: Hardware, optics: Array) -> tuple[tuple[Array, ...], tuple[Array, ...]]:
+    """Return camera and projector as the kernels take them, for variables of the lenses (n, m).
+
+    What depends on a lens is stacked: n of them, or one where the hardware has no variables.
+    """
+    camera, projector = (_constant(hardware, role, optics) for role in ("camera", "projector"))
     return camera, projector
 
 
-def _constant(device: Device, circle_px: float, moves: bool) -> tuple[Array, ...]:
+def _constant(hardware: Hardware, role: str, optics: Array) -> tuple[Array, ...]:
+    own: Device = getattr(hardware, role)
+    moves = hardware.refocused[role == "projector"]
+    devices = hardware.devices(role, optics) if hardware.optics else [own]
+    stacked = zip(*(_lens(device, hardware.circle_px, moves) for device in devices), strict=True)
+    lenses, normals, sides, fields = (np.stack(each) for each in stacked)
+    return lenses, normals, sides, fields, *_body(own)
+
+
+def _lens(device: Device, circle_px: float, moves: bool) -> tuple[Array, Array, Array, Array]:
     lens = device.lens
     telecentric = lens.kind == "telecentric"
     numbers = np.array(
@@ -342,7 +363,7 @@ def _constant(device: Device, circle_px: float, moves: bool) -> tuple[Array, ...
         rays = np.c_[field, np.ones(4)]
         sides, offsets = np.cross(rays, np.roll(rays, -1, axis=0)), np.zeros(4)
     planes = np.c_[sides, offsets] / np.linalg.norm(sides, axis=1)[:, np.newaxis]
-    return numbers, tilt_rotation(*device.tilt_rad)[2], planes, field, *_body(device)
+    return numbers, tilt_rotation(*device.tilt_rad)[2], planes, field
 
 
 def _body(device: Device) -> tuple[Array, Array]:

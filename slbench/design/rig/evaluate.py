@@ -139,7 +139,7 @@ def evaluate(
     Parameters
     ----------
     hardware : Hardware
-    configurations : (n, 6) float or list of DesignVariables
+    configurations : (n, 6 + m) float or list of DesignVariables
         In mm and rad.
     stride : (int, int)
         Every how many-th camera column and row is sampled, from the first; (1, 1) is the
@@ -202,6 +202,8 @@ class Evaluator:
         self._maps = CodedMaps(hardware, planes, strides, edges=convention == "thesis")
         self._size = (hardware.projector.width, hardware.projector.height)
         self._constraints = Constraints(hardware)
+        self._hardware = hardware
+        self._sampled = {"stride": strides, "planes_mm": planes, "convention": convention}
 
     def objectives(self, placement: Placement) -> Array:
         """Return :attr:`Evaluation.objectives` alone, without the margins, (n, 3)."""
@@ -227,11 +229,22 @@ class Evaluator:
 
     def question(self, placement: Placement, evaluation: Evaluation) -> None:
         """Warn where the other axis would measure far better (:func:`evaluate`)."""
+        if self._hardware.optics:
+            return  # the maps are those of other lenses
         question_axes(self._maps, placement, evaluation.mu_mm, stacklevel=4)
 
     def _measured(self, placement: Placement) -> tuple[Array, NDArray[np.str_], Array]:
+        if self._hardware.optics:
+            each = [self._of_lenses(placement.of([k])) for k in range(len(placement.valid))]
+            metrics, axes, eta = (np.concatenate(part) for part in zip(*each, strict=True))
+            return metrics, axes, eta
         metrics, axes = self._maps.metrics(placement)
         return metrics, axes, coverage(self._maps.silhouette(placement), *self._size)
+
+    def _of_lenses(self, placement: Placement) -> tuple[Array, NDArray[np.str_], Array]:
+        """Return what is measured of one configuration, whose lenses have maps of their own."""
+        variant = self._hardware.variant(placement.optics[0])
+        return Evaluator(variant, **self._sampled)._measured(placement)
 
 
 def _objectives(

@@ -5,26 +5,32 @@ place, the measurement volume, the working distances of the lenses and the range
 design variables.  :meth:`Hardware.place` puts both devices where many configurations say, all
 at once (thesis 3.1.2); constraints and evaluator start from there.
 
-Files: the ``[camera]``, ``[projector]`` and ``[rig]`` tables of a scene, and ``[design]``.
+For a microscope (thesis 5.2) there may be a :class:`Sweep` of focus settings, and more variables:
+aperture, focus and tilt of the sensor of either device (:data:`OPTICS`).
+
+Files: the ``[camera]``, ``[projector]`` and ``[rig]`` tables of a scene, ``[focus]`` and
+``[design]``.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from slbench.capture.focus import MAX_SETTINGS, Focus
 from slbench.core import resources
 from slbench.core.errors import InputError, located, warn_user
 from slbench.core.io import read_table
 from slbench.core.show.display import brief
 from slbench.core.validation.tables import Parameters
-from slbench.core.validation.types import Coordinate, Measure, Pair, Size
+from slbench.core.validation.types import Coordinate, MaxLen, Measure, MinLen, Pair, Size
 from slbench.core.validation.values import Value, validated
 from slbench.detector.base import DetectorModel
 from slbench.detector.emva1288 import Detector
@@ -41,6 +47,7 @@ from slbench.scene.changes import Changes, apply_changes, naming_changes, read_c
 from slbench.scene.devices.detector import read_detector
 from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
 from slbench.scene.file import read_merged
+from slbench.scene.tables import FocusTable
 
 Array = NDArray[np.float64]
 #: Panel axes that are coded: named, or how many.
@@ -49,6 +56,15 @@ AnyDevice = TypeVar("AnyDevice", bound=Device)
 
 #: Names of the six design variables, as in files.
 VARIABLES = ("z_ref_mm", "w_mm", "h_mm", "l_mm", "alpha_p_deg", "beta_p_deg")
+#: Names of the optional variables of the lenses: radius of the aperture; how far beyond the
+#: reference point the lens is focused; tilt of the sensor about its two axes.
+OPTICS = tuple(
+    f"{device}_{name}"
+    for device in ("camera", "projector")
+    for name in ("aperture_radius_mm", "focus_mm", "tilt_x_deg", "tilt_y_deg")
+)
+#: Steps of an aperture's range that are told apart: what diffraction makes of each is computed.
+_STOPS = 24
 
 _FLIP = np.array([1.0, -1.0, -1.0])  # world axes in the design frame
 #: A projector's axis closer to parallel to the reference plane than this never meets it.
@@ -74,6 +90,8 @@ class Placement:
     valid : (n,) bool
         False where the projector's axis does not meet the reference plane in front of it, or
         the camera stands on the point it aims at; everything else is NaN there.
+    optics : (n, m) float
+        Variables of the lenses, mm and rad, in the hardware's order.
     """
 
     camera_rotation: Array
@@ -84,12 +102,39 @@ class Placement:
     projector_distance: Array
     angle: Array
     valid: NDArray[np.bool_]
+    optics: Array
 
     __repr__ = brief
 
     def of(self, rows: Sequence[int]) -> Placement:
         """Return the placement of some of the configurations."""
         return Placement(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+
+@dataclass(frozen=True)
+class Sweep(Value):
+    """Focus settings that are taken one after the other (thesis 5.2).
+
+    Parameters
+    ----------
+    heights_mm : sequence of float
+        Heights of the points on the world's z axis that the settings focus on.
+    move : {"both", "camera", "projector"}
+        What is refocused.
+    apart : bool
+        Each setting of the camera with each of the projector; together otherwise.
+    """
+
+    heights_mm: Annotated[tuple[Coordinate, ...], MinLen(1), MaxLen(MAX_SETTINGS)]
+    move: Literal["both", "camera", "projector"] = "both"
+    apart: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        # From the nearest to the furthest setting of devices that look down.
+        object.__setattr__(self, "heights_mm", tuple(sorted(self.heights_mm, reverse=True)))
+        if self.apart and self.move != "both":
+            raise InputError("sweep: apart", "only where both devices move", self.move)
 
 
 @dataclass(frozen=True)
@@ -118,6 +163,10 @@ class Hardware(Value):
     refocused : (bool, bool)
         Whether camera and projector are focused on the world's origin wherever they stand;
         otherwise their lenses stay at ``focus_distance_mm``.
+    sweep : Sweep or None
+        Focus settings of a microscope; None is one, the lenses' own.
+    optics : mapping of str to (float, float)
+        Ranges of optional variables (:data:`OPTICS`), mm and rad, which follow the six.
     """
 
     camera: Camera
@@ -131,6 +180,8 @@ class Hardware(Value):
     circle_px: Measure = 1.0
     refocused: tuple[bool, bool] = (True, True)
     detector: DetectorModel = field(default_factory=Detector)
+    sweep: Sweep | None = None
+    optics: dict[str, Pair] = field(default_factory=dict)
 
     __repr__ = brief
 
@@ -162,6 +213,118 @@ class Hardware(Value):
                 raise InputError(f"range of {name}", "angles within 90 deg", f"{low}, {high} rad")
         if self.lower[0] <= 0:
             raise InputError("range of z_ref_mm", "positive distances", self.lower[0])
+        for name, (low, high) in self.optics.items():
+            self._check_optics(name, low, high)
+
+    def _check_optics(self, name: str, low: float, high: float) -> None:
+        where = f"range of {name}"
+        if name not in OPTICS:
+            raise InputError("optics", f"names among {', '.join(OPTICS)}", name)
+        if not low <= high:
+            raise InputError(where, "lowest <= highest", f"{low}, {high}")
+        role, _, quantity = name.partition("_")
+        device: Device = getattr(self, role)
+        if quantity.endswith("deg") and max(abs(low), abs(high)) >= np.pi / 3:
+            raise InputError(where, "angles within 60 deg", f"{low}, {high} rad")
+        if quantity.startswith("aperture"):
+            if device.lens.kind == "telecentric":
+                raise InputError(where, "a perspective lens", device.lens.kind)
+            if low <= 0:
+                raise InputError(where, "positive radii (mm)", low)
+        if quantity.startswith("focus") and not self.refocused[role == "projector"]:
+            expected = f"a {role} without focus_distance_mm, which fixes its focus"
+            raise InputError(where, expected, device.lens.focus_distance_mm)
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Names of the variables of a configuration: the six, and those of the lenses."""
+        return (*VARIABLES, *self.optics)
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest values of the variables, mm and rad."""
+        low, high = (np.array([pair[end] for pair in self.optics.values()]) for end in (0, 1))
+        return np.append(np.array(self.lower), low), np.append(np.array(self.upper), high)
+
+    def device_optics(self, role: str, optics: Array) -> tuple[Array, Array, Array]:
+        """Return what variables of the lenses make of a device.
+
+        Parameters
+        ----------
+        role : {"camera", "projector"}
+        optics : (n, m) float
+            As in :class:`Placement`.
+
+        Returns
+        -------
+        aperture : (n,) float
+            Radius, mm, in steps of 1/24 of its range.
+        focus : (n,) float
+            What is added to the distances in focus, mm.
+        tilt : (n, 2) float
+            rad.
+        """
+        device: Device = getattr(self, role)
+        names, count = list(self.optics), len(optics)
+
+        def of(name: str, own: float) -> Array:
+            key = f"{role}_{name}"
+            return optics[:, names.index(key)] if key in names else np.full(count, own)
+
+        aperture = of("aperture_radius_mm", device.lens.aperture_radius_mm)
+        low, high = self.optics.get(f"{role}_aperture_radius_mm", (0.0, 0.0))
+        if high > low:
+            aperture = (
+                low + (high - low) * np.round((aperture - low) / (high - low) * _STOPS) / _STOPS
+            )
+        tilts = of("tilt_x_deg", device.tilt_rad[0]), of("tilt_y_deg", device.tilt_rad[1])
+        return aperture, of("focus_mm", 0.0), np.stack(tilts, axis=1)
+
+    def devices(self, role: str, optics: Array) -> list[Device]:
+        """Return the camera or the projector with n lenses as variables (n, m) say."""
+        apertures, _, tilts = self.device_optics(role, optics)
+        own: Device = getattr(self, role)
+        found = []
+        for aperture, (tilt_x, tilt_y) in zip(apertures, tilts, strict=True):
+            lens = own.lens
+            if aperture != lens.aperture_radius_mm:
+                lens = replace(lens, aperture_radius_mm=float(aperture))
+            found.append(replace(own, lens=lens, tilt_rad=(float(tilt_x), float(tilt_y))))
+        return found
+
+    def variant(self, optics: Array) -> Hardware:
+        """Return the hardware whose lenses are as variables (m,) say, and no longer vary.
+
+        A shift of the focus is not part of it: it belongs to a rig.
+        """
+        (camera,), (projector,) = (
+            self.devices(role, optics[np.newaxis]) for role in ("camera", "projector")
+        )
+        return replace(self, camera=camera, projector=projector, optics={})
+
+    def focuses(self, placement: Placement, *, swept: bool = True) -> Array:
+        """Return where both devices are focused at the settings of the sweep, (2, n, s), mm.
+
+        From the nearest to the furthest; the camera's first.  Unless `swept`, at the one setting
+        of a picture without a sweep.
+        """
+        sweep = self.sweep if swept else None
+        heights = np.array((0.0,) if sweep is None else sweep.heights_mm)
+        found = []
+        for k, (role, rotation, distance) in enumerate(
+            (
+                ("camera", placement.camera_rotation, placement.camera_distance),
+                ("projector", placement.projector_rotation, placement.projector_distance),
+            )
+        ):
+            device: Device = getattr(self, role)
+            moves = sweep is not None and sweep.move in ("both", role)
+            fixed = not (self.refocused[k] or moves)
+            focus = np.full(len(distance), device.lens.focus_distance_mm) if fixed else distance
+            offset = self.device_optics(role, placement.optics)[1]
+            depth = rotation[:, 2, 2, None] * heights if moves else np.zeros_like(heights)
+            found.append((focus + offset)[:, None] + depth)
+        return np.stack(found)
 
     @property
     def volume_corners(self) -> Array:
@@ -187,28 +350,43 @@ class Hardware(Value):
         InputError
             If the configuration is not a rig; see :class:`~slbench.rig.DesignVariables`.
         """
+        optics = np.empty((1, 0))
         if not isinstance(variables, DesignVariables):
-            variables = DesignVariables(*(float(x) for x in as_configurations(variables)[0]))
-        rig = Rig.from_design(variables, self.camera, self.projector, self.volume_mm)
+            row = as_configurations(variables, len(self.variables))[0]
+            variables, optics = DesignVariables(*(float(x) for x in row[:6])), row[np.newaxis, 6:]
+        own = self.variant(optics[0]) if self.optics else self
+        rig = Rig.from_design(variables, own.camera, own.projector, self.volume_mm)
+        further = [
+            float(self.device_optics(role, optics)[1][0]) for role in ("camera", "projector")
+        ]
         return rig.having(
-            camera=self.focused(rig.camera, rig.camera_distance),
-            projector=self.focused(rig.projector, rig.projector_distance),
+            camera=self.focused(rig.camera, rig.camera_distance + further[0]),
+            projector=self.focused(rig.projector, rig.projector_distance + further[1]),
         )
+
+    def settings(self, configuration: ArrayLike) -> Focus:
+        """Return the settings of the sweep for one configuration, as distances in focus."""
+        focuses = self.focuses(self.place(configuration))[:, 0]
+        if self.sweep is not None and self.sweep.apart:
+            pairs = itertools.product(*focuses.tolist())
+            focuses = np.array(list(pairs)).T
+        names = ("camera", "projector")
+        return Focus(dict(zip(names, (tuple(each) for each in focuses.tolist()), strict=True)))
 
     def place(self, configurations: ArrayLike | Sequence[DesignVariables]) -> Placement:
         """Place both devices by many configurations (thesis eq. 3 and section 3.1.2).
 
         Parameters
         ----------
-        configurations : (n, 6) float or list of DesignVariables
-            In mm and rad.
+        configurations : (n, 6 + m) float or list of DesignVariables
+            In mm and rad; with the m optional variables of the hardware.
 
         Raises
         ------
         InputError
-            If they are not numbers, six each.
+            If they are not numbers, one a variable.
         """
-        rows = as_configurations(configurations)
+        rows = as_configurations(configurations, len(self.variables))
         z_ref, alpha, beta = rows[:, 0], rows[:, 4], rows[:, 5]
         projector = rotation_yx(alpha, beta)
         axis = projector[:, :, 2]
@@ -234,29 +412,32 @@ class Hardware(Value):
             far_length,
             np.arccos(np.clip(cosine, -1.0, 1.0)),
             valid,
+            rows[:, 6:],
         )
 
 
-def as_configurations(values: ArrayLike | Sequence[DesignVariables]) -> Array:
-    """Return configurations as (n, 6) float, mm and rad; one row may stand alone.
+def as_configurations(values: ArrayLike | Sequence[DesignVariables], count: int = 6) -> Array:
+    """Return configurations as (n, count) float, mm and rad; one row may stand alone.
 
     Raises
     ------
     InputError
-        If they are not finite numbers, six each.
+        If they are not finite numbers, `count` each.
     """
     if isinstance(values, DesignVariables):
         values = [values]
     if isinstance(values, Sequence) and values and isinstance(values[0], DesignVariables):
         values = [(v.z_ref, v.w, v.h, v.l, v.alpha_p, v.beta_p) for v in values]  # type: ignore[union-attr]
     expected = "(n, 6) finite numbers: z_ref w h l (mm), alpha_P beta_P (rad)"
+    if count > 6:
+        expected = f"(n, {count}) finite numbers: the six, and those of the lenses (mm, rad)"
     try:
         rows = np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise InputError("configurations", expected, error) from None
-    if rows.shape == (6,):
+    if rows.shape == (count,):
         rows = rows[np.newaxis]
-    if rows.ndim != 2 or rows.shape[1] != 6:
+    if rows.ndim != 2 or rows.shape[1] != count:
         raise InputError("configurations", expected, f"shape {rows.shape}")
     bad = np.flatnonzero(~np.all(np.isfinite(rows), axis=1))
     if bad.size:
@@ -264,17 +445,19 @@ def as_configurations(values: ArrayLike | Sequence[DesignVariables]) -> Array:
     return rows
 
 
-def read_configurations(path: str | Path) -> Array:
-    """Read configurations from a CSV file with the columns of :data:`VARIABLES`.
+def read_configurations(path: str | Path, variables: Sequence[str] = VARIABLES) -> Array:
+    """Read configurations from a CSV file with a column a variable.
 
     Parameters
     ----------
     path : str or Path
         The columns may stand in any order; the angles are in degrees.
+    variables : sequence of str
+        Their names, those of :attr:`Hardware.variables`.
 
     Returns
     -------
-    (n, 6) float
+    (n, 6 + m) float
         In mm and rad.
 
     Raises
@@ -283,9 +466,15 @@ def read_configurations(path: str | Path) -> Array:
         If the file is missing or empty, a column is missing or unknown, or a cell is not a
         finite number, with its line.
     """
-    result = read_table(path, VARIABLES)
-    result[:, 4:] = np.deg2rad(result[:, 4:])
+    result = read_table(path, variables)
+    angles = are_angles(variables)
+    result[:, angles] = np.deg2rad(result[:, angles])
     return result
+
+
+def are_angles(variables: Sequence[str]) -> NDArray[np.bool_]:
+    """Return a mask of variables that files have in degrees."""
+    return np.array([name.endswith("_deg") for name in variables])
 
 
 class _Design(Parameters):
@@ -297,6 +486,14 @@ class _Design(Parameters):
     l_mm: Pair
     alpha_p_deg: Pair
     beta_p_deg: Pair
+    camera_aperture_radius_mm: Pair | None = None
+    camera_focus_mm: Pair | None = None
+    camera_tilt_x_deg: Pair | None = None
+    camera_tilt_y_deg: Pair | None = None
+    projector_aperture_radius_mm: Pair | None = None
+    projector_focus_mm: Pair | None = None
+    projector_tilt_x_deg: Pair | None = None
+    projector_tilt_y_deg: Pair | None = None
     coded_axes: CodedAxes | None = None
     circle_of_confusion_px: Measure = 1.0
 
@@ -320,7 +517,7 @@ class _HardwareFile(Parameters):
     light: Any = None
     exposure: Any = None
     patterns: Any = None
-    focus: Any = None
+    focus: FocusTable | None = None
     calibration: Any = None
     render: Any = None
     preview: Any = None
@@ -362,6 +559,9 @@ def load_hardware(
         raise InputError(f"{path.name}: design", "a table of working distances and ranges", "none")
     with naming_changes(path.name, made):
         hardware = _hardware(content, path)
+    if content.get("focus") and hardware.sweep is None:
+        got = "distances, which belong to one rig: one setting is taken"
+        warn_user(f"{path.name}: focus", f"a design sweeps by heights_mm or settings; {got}")
     for name, device in (("camera", hardware.camera), ("projector", hardware.projector)):
         if not device.contains(device.centre):
             u, v = device.centre
@@ -396,7 +596,21 @@ def _hardware(content: Mapping[str, Any], path: Path) -> Hardware:
             design.circle_of_confusion_px,
             (file.camera.focus_distance_mm is None, file.projector.focus_distance_mm is None),
             read_detector(file.detector, f"{path.name}: detector"),
+            _sweep(file.focus, volume[2]),
+            {name: _range_of(design, name) for name in OPTICS if getattr(design, name) is not None},
         )
+
+
+def _range_of(design: _Design, name: str) -> tuple[float, float]:
+    low, high = getattr(design, name)
+    turn = np.pi / 180.0 if name.endswith("_deg") else 1.0
+    return turn * low, turn * high
+
+
+def _sweep(focus: FocusTable | None, depth_mm: float) -> Sweep | None:
+    """Return a file's sweep; distances in focus, which belong to one rig, are none."""
+    heights = None if focus is None else focus.heights(depth_mm)
+    return None if focus is None or heights is None else Sweep(heights, focus.move, focus.apart)
 
 
 def _coded_by(patterns: Any) -> CodedAxes:
@@ -421,6 +635,34 @@ def thesis_configurations(hardware: Hardware) -> Array | None:
         ours, other = getattr(hardware, name), getattr(theirs, name)
         same &= replace(ours, pose=other.pose) == other
     return read_configurations(path.with_name("table4.csv")) if same else None
+
+
+def stated_optics(hardware: Hardware, configuration: Array) -> dict[str, dict[str, Any]]:
+    """Return the keys of a scene's devices that a configuration's variables of the lenses set.
+
+    Parameters
+    ----------
+    hardware : Hardware
+    configuration : (6 + m,) float
+
+    Returns
+    -------
+    dict of str to dict
+        Of ``camera`` and ``projector``; None is a key that makes way for another one.
+    """
+    found: dict[str, dict[str, Any]] = {"camera": {}, "projector": {}}
+    optics = configuration[np.newaxis, 6:]
+    rig = hardware.rig(configuration)
+    for role, keys in found.items():
+        aperture, _, tilt = hardware.device_optics(role, optics)
+        if f"{role}_aperture_radius_mm" in hardware.optics:
+            keys |= {"f_number": None, "lens_f_number": None}
+            keys["aperture_radius_mm"] = float(aperture[0])
+        if any(f"{role}_tilt_{axis}_deg" in hardware.optics for axis in "xy"):
+            keys["tilt_deg"] = [float(angle) for angle in np.rad2deg(tilt[0])]
+        if f"{role}_focus_mm" in hardware.optics:
+            keys["focus_distance_mm"] = float(rig.devices[role].lens.focus_distance_mm)
+    return found
 
 
 def own_configuration(content: dict[str, Any]) -> Array | None:

@@ -8,8 +8,8 @@ subject to g1..g6:
 * ``dispersion``: ``-d``, distance between neighbouring points, mm.
 
 For a microscope (``micro``, thesis 5.2) there is one objective, ``volume``: minus the cube root
-of the largest box inside both in-focus volumes, mm.  It takes the place of g3, that the given
-volume be in focus.
+of the volume of the largest box, mm, of which each point is in focus for both devices at some
+setting of the hardware's sweep.  It takes the place of g3, that the given volume be in focus.
 
 The front is clustered by its design variables, and each cluster's member nearest to its
 centroid represents it.  **Recommended** is the representative nearest to the ideal point, at
@@ -36,7 +36,7 @@ from slbench.core.errors import InputError
 from slbench.core.show.display import brief
 from slbench.design.rig.constraints import CONSTRAINTS, Constraints, diagnose
 from slbench.design.rig.evaluate import Evaluation, Evaluator
-from slbench.design.rig.hardware import VARIABLES, Hardware, Placement
+from slbench.design.rig.hardware import Hardware, Placement
 from slbench.design.rig.volume import largest_box
 from slbench.design.search import multisearch
 from slbench.design.search.clustering import Clusters, cluster_front
@@ -118,7 +118,7 @@ def optimise(
     max_evaluations : int
         Budget of evaluated configurations.
     seed : int
-    start : Front or (n, 6) float, optional
+    start : Front or (n, 6 + m) float, optional
         A front to go on from, or configurations (mm, rad) to begin at.  A front found with
         other hardware, objectives or constraints gives its configurations only.
     max_footprint_mm : float, optional
@@ -181,11 +181,10 @@ def optimise(
     try:
         with _one_thread():
             if isinstance(start, Front):
-                start = _usable(start, values, feasible)
+                start = _usable(start, values, feasible, len(hardware.variables))
             front = multisearch.minimize(
                 values,
-                np.array(hardware.lower),
-                np.array(hardware.upper),
+                *hardware.bounds,
                 feasible,
                 max_evaluations=max_evaluations,
                 seed=seed,
@@ -243,7 +242,7 @@ class _Placing:
 def _large_volume(
     hardware: Hardware,
     values: Callable[[Array], Array],
-    spare: Callable[[Array], Array],
+    spare: Callable[..., Array],
     seed: int,
 ) -> Array | None:
     """Return a configuration of large volume to begin at, (1, 6), or None if none is feasible.
@@ -252,11 +251,15 @@ def _large_volume(
     distances couple the variables so that steps along one of them lead nowhere.  Differential
     evolution, which moves in all of them, finds the basin; the multisearch then polishes.
     """
+    devices = (hardware.camera, hardware.projector)
+    barrels = any(device.barrel_mm is not None for device in devices)
 
     def cost(columns: Array) -> Array:
         x = columns.T
-        violation = np.maximum(-np.nan_to_num(spare(x), neginf=-1e6), 0.0).sum(axis=1)
-        good = np.all(spare(x) > 0, axis=1)
+        # The depth to which barrels overlap is not worth its time here.
+        margins = spare(x, exact=not barrels)
+        violation = np.maximum(-np.nan_to_num(margins, neginf=-1e6), 0.0).sum(axis=1)
+        good = np.all(margins > 0, axis=1)
         result = np.asarray(1.0 + violation, dtype=np.float64)
         if good.any():
             result[good] = values(x[good])[:, 0]
@@ -264,7 +267,7 @@ def _large_volume(
 
     found = differential_evolution(
         cost,
-        np.column_stack((hardware.lower, hardware.upper)),
+        np.column_stack(hardware.bounds),
         rng=seed,
         popsize=30,
         maxiter=150,
@@ -284,11 +287,18 @@ def footprint_mm(hardware: Hardware, placement: Placement) -> Array:
         (hardware.camera, placement.camera_rotation, placement.camera_position),
         (hardware.projector, placement.projector_rotation, placement.projector_position),
     ):
-        corners = (
-            device.posed(Pose()).body_corners @ np.swapaxes(rotation, 1, 2) + position[:, None]
-        )
-        low = np.fmin(low, corners[..., :2].min(axis=1))
-        high = np.fmax(high, corners[..., :2].max(axis=1))
+        if device.barrel_mm is not None:
+            behind, radii = np.transpose(device.barrel_mm)
+            middles = position[:, None, :2] - behind[:, None] * rotation[:, None, :2, 2]
+            # A disc reaches as far along an axis as that axis is across the barrel's.
+            across = np.sqrt(np.clip(1.0 - rotation[:, :2, 2] ** 2, 0.0, None))
+            reach = radii[:, None] * across[:, None]
+            ends = np.concatenate((middles - reach, middles + reach), axis=1)
+        else:
+            local = device.posed(Pose()).body_corners
+            ends = (local @ np.swapaxes(rotation, 1, 2) + position[:, None])[..., :2]
+        low = np.fmin(low, ends.min(axis=1))
+        high = np.fmax(high, ends.max(axis=1))
     return np.asarray((high - low).max(axis=1), dtype=np.float64)
 
 
@@ -311,9 +321,10 @@ def _usable(
     front: Front,
     values: Callable[[Array], Array],
     feasible: Callable[[Array], NDArray[np.bool_]],
+    count: int,
 ) -> Front | Array:
     """Return a front to go on from; of one that does not fit this search, its configurations."""
-    if not len(front) or front.x.shape[1] != len(VARIABLES):
+    if not len(front) or front.x.shape[1] != count:
         return front
     if np.all(feasible(front.x)):
         f = values(front.x)

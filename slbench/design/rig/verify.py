@@ -195,7 +195,7 @@ def verify(
         If the coded axis runs along the epipolar lines of a configuration, or the patterns state
         other axes than the hardware: theirs are predicted and rendered.
     """
-    rows = as_configurations(configurations)
+    rows = as_configurations(configurations, len(hardware.variables))
     if len(rows) < 3:
         raise InputError("configurations", "at least 3, to compare ranks", len(rows))
     errors = np.empty((len(rows), 2))

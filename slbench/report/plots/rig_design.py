@@ -14,8 +14,9 @@ from slbench.core.io import OutputFolder, write_table, write_toml
 from slbench.core.show.display import length_unit
 from slbench.core.show.drawing import save_png
 from slbench.design.rig.evaluate import Evaluation
-from slbench.design.rig.hardware import VARIABLES
+from slbench.design.rig.hardware import VARIABLES, are_angles, stated_optics
 from slbench.design.rig.optimise import RigDesign
+from slbench.design.rig.volume import largest_box
 from slbench.report.plots.draw import draw_rig
 from slbench.report.plots.layout import (
     TICK_PT,
@@ -109,12 +110,23 @@ def scene_of(design: RigDesign, content: dict[str, Any], member: int) -> dict[st
     Its patterns code the axes that the rig's error is predicted for, unless given in parts.
     """
     scene = {key: value for key, value in content.items() if key != "design"}
-    values = _degrees(design.front.x)[member]
-    volume = design.hardware.volume_mm
+    hardware, row = design.hardware, design.front.x[member]
+    values = _degrees(design)[member]
+    volume = hardware.volume_mm
+    if design.objectives == ("volume",):
+        # What the rig was designed for, rounded so that nothing is out of focus.
+        volume = tuple((np.floor(1e6 * largest_box(hardware, row)[0]) / 1e6).tolist())
     scene["name"] = "optimal-rig"
     scene["description"] = f"member {member} of the front, over a plate of the volume's size"
-    scene["rig"] = dict(zip(VARIABLES, (float(v) for v in values), strict=True))
+    scene["rig"] = dict(zip(VARIABLES, (float(v) for v in values[:6]), strict=True))
     scene["rig"]["volume_mm"] = list(volume)
+    for role, keys in stated_optics(hardware, row).items():
+        merged = {**scene[role], **keys}
+        scene[role] = {key: value for key, value in merged.items() if value is not None}
+    if hardware.sweep is not None:
+        # Of each setting the distances, which hold a shift of the focus as well.
+        focus = hardware.settings(row).distances_mm
+        scene["focus"] = {f"{name}_mm": list(values) for name, values in focus.items()}
     if "parts" not in scene.get("patterns", {}):
         axes = str(design.evaluation.axes[member])
         scene["patterns"] = {**scene.get("patterns", {}), "axes": axes}
@@ -123,18 +135,26 @@ def scene_of(design: RigDesign, content: dict[str, Any], member: int) -> dict[st
     return scene
 
 
-def _degrees(x: Array) -> Array:
-    rows = np.array(x)
-    rows[:, 4:] = np.rad2deg(rows[:, 4:])
+def _degrees(design: RigDesign) -> Array:
+    rows, angles = np.array(design.front.x), are_angles(design.hardware.variables)
+    rows[:, angles] = np.rad2deg(rows[:, angles])
     return rows
 
 
 def _write_csv(path: Path, design: RigDesign, members: NDArray, clusters: NDArray) -> None:
-    rows, metrics = _degrees(design.front.x), design.evaluation.rows()
+    rows, metrics = _degrees(design), design.evaluation.rows()
     recommended = design.member()
     write_table(
         path,
-        ["member", "cluster", "recommended", *VARIABLES, "axes", *_METRICS, *design.objectives],
+        [
+            "member",
+            "cluster",
+            "recommended",
+            *design.hardware.variables,
+            "axes",
+            *_METRICS,
+            *design.objectives,
+        ],
         (
             [
                 member,

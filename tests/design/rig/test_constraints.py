@@ -282,7 +282,7 @@ def test_frusta_start_at_the_lens_and_end_behind_the_volume():
     rotation, position = place.projector_rotation[0], place.projector_position[0]
     far = ((MACRO.volume_corners - position) @ rotation)[:, 2].max()
     world = np.empty((8, 3))
-    frustum(_constants(MACRO)[1], far, rotation, position, world)
+    frustum(_constants(MACRO, place.optics)[1], 0, far, rotation, position, world)
     np.testing.assert_array_equal(world[:4], np.tile(position, (4, 1)))
     rig = MACRO.rig(TABLE_4[4])
     expected = [[-0.5, -0.5], [639.5, -0.5], [639.5, 479.5], [-0.5, 479.5]]

@@ -1,6 +1,7 @@
 """The inner loops of the constraints: all parts of g1..g6, one configuration after another.
 
-A device is a tuple of what does not depend on the configuration:
+A device is a tuple.  The first four of its arrays have a first axis, left out here: one item for
+all configurations, or one for each.
 
 * `lens` (6,): focal length, aperture radius, focus distance, the circle of confusion on the
   panel, all in mm, then 1 where it is refocused on the origin and 1 where it is telecentric;
@@ -24,19 +25,14 @@ _CLEARLY_APART = 1e-6
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def focus_of(device, distance):  # type: ignore[no-untyped-def]
-    """Return where a device at `distance` from the origin is focused, mm."""
-    return distance if device[0][4] > 0.0 else device[0][2]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def focus_planes(device, focus, planes):  # type: ignore[no-untyped-def]
+def focus_planes(device, i, focus, planes):  # type: ignore[no-untyped-def]
     """Write the planes around the in-focus volume: unit normal and offset, (6, 4).
 
-    In the device's frame, for a device focused at `focus`: four sides of its view, then two
-    limits of its depth of field; ``normal . X + offset`` is positive inside.
+    In the frame of the device of configuration `i`, focused at `focus`: four sides of its view,
+    then two limits of its depth of field; ``normal . X + offset`` is positive inside.
     """
-    lens, tilt, sides = device[0], device[1], device[2]
+    k = _item(device, i)
+    lens, tilt, sides = device[0][k], device[1][k], device[2][k]
     focal, aperture, limit = lens[0], lens[1], lens[3]
     telecentric = lens[5] > 0.0
     planes[:4] = sides
@@ -69,7 +65,7 @@ def slacks(device, rotations, positions, focuses, points, out):  # type: ignore[
     planes = np.empty((6, 4))
     for i in range(out.shape[0]):
         for s in range(focuses.shape[1]):
-            focus_planes(device, focuses[i, s], planes)
+            focus_planes(device, i, focuses[i, s], planes)
             for k in range(points.shape[0]):
                 x, y, z = _local(points[k], rotations[i], positions[i])
                 for j in range(4 if s else 0, 6):
@@ -77,11 +73,11 @@ def slacks(device, rotations, positions, focuses, points, out):  # type: ignore[
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def parts(ranges, devices, rotations, positions, distances, valid, corners, exact, out):  # type: ignore[no-untyped-def]
+def parts(ranges, devices, rotations, positions, distances, focuses, valid, corners, exact, out):  # type: ignore[no-untyped-def]
     """Write the margins of all parts of the constraints, (n, 13), mm.
 
-    `ranges` (2, 2) holds the working distances; `devices`, `rotations`, `positions` and
-    `distances` are pairs, the camera's first; `corners` (8, 3) are the measurement volume's.
+    `ranges` (2, 2) holds the working distances; `devices`, `rotations`, `positions`, `distances`
+    and `focuses` are pairs, the camera's first; `corners` (8, 3) are the measurement volume's.
     Unless `exact`, bodies and frusta that are apart count with the gap that separates them,
     which is less than their distance and found much sooner: the signs are the same.
     """
@@ -97,7 +93,7 @@ def parts(ranges, devices, rotations, positions, distances, valid, corners, exac
             out[i, d] = place[2]
             out[i, 2 + 2 * d] = distance - ranges[d, 0]
             out[i, 3 + 2 * d] = ranges[d, 1] - distance
-            focus_planes(device, focus_of(device, distance), planes)
+            focus_planes(device, i, focuses[d][i], planes)
             view = depth = np.inf
             far = -np.inf
             for k in range(8):
@@ -110,7 +106,7 @@ def parts(ranges, devices, rotations, positions, distances, valid, corners, exac
             out[i, 6 + 2 * d] = view
             out[i, 7 + 2 * d] = depth
             body = device[4]
-            frustum(device, far, turn, place, frusta[d])
+            frustum(device, i, far, turn, place, frusta[d])
             for k in range(len(body)):
                 _to_world(body[k, 0], body[k, 1], body[k, 2], turn, place, bodies[d, k])
         enough = np.inf if exact else _CLEARLY_APART
@@ -160,14 +156,20 @@ def _polytope(corners):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def frustum(device, far, rotation, position, out):  # type: ignore[no-untyped-def]
+def frustum(device, i, far, rotation, position, out):  # type: ignore[no-untyped-def]
     """Write the corners of the viewing frustum from the lens to depth `far`, world, (8, 3)."""
-    field, telecentric = device[3], device[0][5] > 0.0
+    field, telecentric = device[3][_item(device, i)], device[0][0, 5] > 0.0
     near, wide = (1.0, 1.0) if telecentric else (0.0, far)
     for k in range(4):
         x, y = field[k, 0], field[k, 1]
         _to_world(x * near, y * near, 0.0, rotation, position, out[k])
         _to_world(x * wide, y * wide, far, rotation, position, out[4 + k])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _item(device, i):  # type: ignore[no-untyped-def]
+    """Return the number of a configuration's lens."""
+    return i if len(device[0]) > 1 else 0
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")

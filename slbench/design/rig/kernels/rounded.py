@@ -7,12 +7,12 @@ A body is a tuple of
 * `axis` (3,): the unit normal that all discs share.
 
 Its support, the furthest point along a direction, has a closed form.  Of two bodies that are apart
-the distance is that of the origin from their Minkowski difference (E. G. Gilbert, D. W. Johnson and
-S. S. Keerthi, "A fast procedure for computing the distance between complex objects", IEEE J.
-Robotics and Automation 4(2), 1988).  Where they overlap, the shortest translation that parts them is
-that to the difference's boundary, found by an expanding polytope (G. van den Bergen, "Proximity
-queries and penetration depth computation on 3D game objects", 2001).  Both end between a lower and
-an upper bound.
+the distance is that of the origin from their Minkowski difference (E. G. Gilbert, D. W. Johnson
+and S. S. Keerthi, "A fast procedure for computing the distance between complex objects", IEEE J.
+Robotics and Automation 4(2), 1988).  Where they overlap, the shortest translation that parts them
+is that to the difference's boundary, found by an expanding polytope (G. van den Bergen, "Proximity
+queries and penetration depth computation on 3D game objects", 2001).  Both end between a lower
+and an upper bound.
 """
 
 from __future__ import annotations
@@ -143,7 +143,8 @@ def _solve(matrix, right, m):  # type: ignore[no-untyped-def]
 def signed_distance(first, second, enough):  # type: ignore[no-untyped-def]
     """Return the distance of two bodies that are apart; minus their depth where they overlap.
 
-    A gap that is `enough` may be returned in the place of the distance.
+    A gap that is `enough` may be returned in the place of the distance; with a finite one a quick
+    bound, which is not less, in the place of the depth.
     """
     size = _size(first) + _size(second)
     tolerance = _CLOSE * size
@@ -159,7 +160,7 @@ def signed_distance(first, second, enough):  # type: ignore[no-untyped-def]
     distance = np.sqrt(np.sum(point * point))
     for _ in range(_ROUNDS):
         if distance <= tolerance:
-            return -_depth(first, second, tolerance)
+            return -_depth(first, second, tolerance, enough)
         _difference(first, second, -point, new)
         gap = np.sum(point * new) / distance
         if gap > enough or distance - gap <= tolerance:
@@ -174,7 +175,7 @@ def signed_distance(first, second, enough):  # type: ignore[no-untyped-def]
                 weights[kept] = weights[k]
                 kept += 1
         if kept == 4:  # the origin is inside
-            return -_depth(first, second, tolerance)
+            return -_depth(first, second, tolerance, enough)
         count = kept
         point[:] = 0.0
         for k in range(count):
@@ -184,6 +185,24 @@ def signed_distance(first, second, enough):  # type: ignore[no-untyped-def]
             return max(gap, 0.0) if gap > 0.0 else distance
         distance = shorter
     return distance
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shallow(first, second):  # type: ignore[no-untyped-def]
+    """Return the shortest translation that parts two bodies along a few directions."""
+    direction, new = np.empty(3), np.empty(3)
+    shallowest = np.inf
+    for k in range(14):
+        if k < 6:
+            direction[:] = 0.0
+            direction[k % 3] = 1.0 if k < 3 else -1.0
+        else:
+            for j in range(3):
+                direction[j] = 1.0 if (k - 6) >> j & 1 else -1.0
+            direction /= np.sqrt(3.0)
+        _difference(first, second, direction, new)
+        shallowest = min(shallowest, np.sum(direction * new))
+    return max(shallowest, 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -239,8 +258,10 @@ def _face(corners, faces, planes, k, inside):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _depth(first, second, tolerance):  # type: ignore[no-untyped-def]
+def _depth(first, second, tolerance, enough):  # type: ignore[no-untyped-def]
     """Return how far the origin is inside the Minkowski difference of two bodies."""
+    if enough < np.inf:
+        return _shallow(first, second)
     corners = np.empty((_ROUNDS + 4, 3))
     faces = np.empty((_MOST_FACES, 3), np.int64)
     planes = np.empty((_MOST_FACES, 4))
