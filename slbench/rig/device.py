@@ -257,12 +257,17 @@ class Device(Value):
             jacobian = product(jacobian * per_unit[:, None], self.pose.rotation.T)
         return xy * per_unit + self.centre, jacobian
 
-    def normalise(self, pixels: ArrayLike) -> Array:
-        """Map pixels (..., 2) to undistorted, untilted normalised coordinates (..., 2)."""
+    def normalise(self, pixels: ArrayLike, tilt_rad: tuple[float, float] | None = None) -> Array:
+        """Map pixels (..., 2) to undistorted, untilted normalised coordinates (..., 2).
+
+        With `tilt_rad`, those of a sensor with that tilt in the place of its own.
+        """
         per_unit = self.lens.focal_length_mm / np.array(self.pitch_mm)
         xy = (np.asarray(pixels, dtype=np.float64) - self.centre) / per_unit
-        if any(self.tilt_rad):
-            xy, _ = apply_homography(xy, np.linalg.inv(self.tilt_homography).astype(np.float64))
+        tilt = self.tilt_rad if tilt_rad is None else tilt_rad
+        if any(tilt):
+            homography = tilt_matrix(*tilt, parallel=self.lens.kind == "telecentric")
+            xy, _ = apply_homography(xy, np.linalg.inv(homography).astype(np.float64))
         return undistort(xy, np.array(self.distortion))
 
     def unproject(self, pixels: ArrayLike) -> tuple[Array, Array]:

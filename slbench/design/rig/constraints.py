@@ -26,7 +26,8 @@ curvature of the edges between them is left out.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,8 +37,9 @@ from slbench.core.random import generator
 from slbench.core.show.display import brief
 from slbench.design.rig.hardware import VARIABLES, Hardware, Placement, are_angles
 from slbench.design.rig.kernels import margins as kernel
-from slbench.rig import DesignVariables, Device
+from slbench.rig import DesignVariables, Device, Lens
 from slbench.rig.optics.distortion import tilt_rotation
+from slbench.rig.optics.spread import Spread
 
 Array = NDArray[np.float64]
 
@@ -334,27 +336,33 @@ def _constants(hardware: Hardware, optics: Array) -> tuple[tuple[Array, ...], tu
 def _constant(hardware: Hardware, role: str, optics: Array) -> tuple[Array, ...]:
     own: Device = getattr(hardware, role)
     moves = hardware.refocused[role == "projector"]
-    devices = hardware.devices(role, optics) if hardware.optics else [own]
-    stacked = zip(*(_lens(device, hardware.circle_px, moves) for device in devices), strict=True)
-    lenses, normals, sides, fields = (np.stack(each) for each in stacked)
+    apertures, _, tilts = hardware.device_optics(role, optics if hardware.optics else _NO_OPTICS)
+    each = zip(apertures.tolist(), tilts.tolist(), strict=True)
+    stacked = [_lens(own, radius, tuple(tilt), hardware.circle_px, moves) for radius, tilt in each]
+    lenses, normals, sides, fields = (np.stack(part) for part in zip(*stacked, strict=True))
     return lenses, normals, sides, fields, *_body(own)
 
 
-def _lens(device: Device, circle_px: float, moves: bool) -> tuple[Array, Array, Array, Array]:
+def _lens(
+    device: Device, aperture: float, tilt: tuple[float, float], circle_px: float, moves: bool
+) -> tuple[Array, Array, Array, Array]:
     lens = device.lens
+    if aperture != lens.aperture_radius_mm:
+        lens = _with_aperture(lens, aperture)
+    spread = Spread(lens.diffraction_mm / device.pitch_mm[0], device.blur_px)
     telecentric = lens.kind == "telecentric"
     numbers = np.array(
         [
             lens.focal_length_mm,
             lens.defocusing_radius_mm,
             lens.focus_distance_mm,
-            device.spread.circle(circle_px) * device.pitch_mm[0],
+            spread.circle(circle_px) * device.pitch_mm[0],
             moves,
             telecentric,
         ],
         dtype=np.float64,
     )
-    field = _field(device)
+    field = _field(device, tilt)
     if telecentric:
         edges = np.roll(field, -1, axis=0) - field
         sides = np.c_[-edges[:, 1], edges[:, 0], np.zeros(4)]
@@ -363,7 +371,12 @@ def _lens(device: Device, circle_px: float, moves: bool) -> tuple[Array, Array, 
         rays = np.c_[field, np.ones(4)]
         sides, offsets = np.cross(rays, np.roll(rays, -1, axis=0)), np.zeros(4)
     planes = np.c_[sides, offsets] / np.linalg.norm(sides, axis=1)[:, np.newaxis]
-    return numbers, tilt_rotation(*device.tilt_rad)[2], planes, field
+    return numbers, tilt_rotation(*tilt)[2], planes, field
+
+
+@lru_cache(maxsize=64)
+def _with_aperture(lens: Lens, aperture: float) -> Lens:
+    return replace(lens, aperture_radius_mm=aperture)
 
 
 def _body(device: Device) -> tuple[Array, Array]:
@@ -377,12 +390,12 @@ def _body(device: Device) -> tuple[Array, Array]:
     return body, np.empty((0, 2))
 
 
-def _field(device: Device) -> Array:
-    """Return the panel's four corners in normalised coordinates, (4, 2).
+def _field(device: Device, tilt: tuple[float, float]) -> Array:
+    """Return a tilted panel's four corners in normalised coordinates, (4, 2).
 
     Clockwise in the image; for a telecentric lens, in mm across the axis.
     """
     right, bottom = device.width - 0.5, device.height - 0.5
     corners = np.array([[-0.5, -0.5], [right, -0.5], [right, bottom], [-0.5, bottom]])
     scale = device.lens.focus_distance_mm if device.lens.kind == "telecentric" else 1.0
-    return device.normalise(corners) * scale
+    return device.normalise(corners, tilt) * scale

@@ -203,7 +203,11 @@ class Evaluator:
         self._size = (hardware.projector.width, hardware.projector.height)
         self._constraints = Constraints(hardware)
         self._hardware = hardware
-        self._sampled = {"stride": strides, "planes_mm": planes, "convention": convention}
+        self._sampled: dict[str, Any] = {
+            "stride": strides,
+            "planes_mm": planes,
+            "convention": convention,
+        }
 
     def objectives(self, placement: Placement) -> Array:
         """Return :attr:`Evaluation.objectives` alone, without the margins, (n, 3)."""

@@ -300,6 +300,8 @@ class Hardware(Value):
         (camera,), (projector,) = (
             self.devices(role, optics[np.newaxis]) for role in ("camera", "projector")
         )
+        assert isinstance(camera, Camera)  # by their roles
+        assert isinstance(projector, Projector)
         return replace(self, camera=camera, projector=projector, optics={})
 
     def focuses(self, placement: Placement, *, swept: bool = True) -> Array:

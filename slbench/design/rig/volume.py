@@ -140,6 +140,8 @@ def _wedges(near: Array, far: Array, apart: bool) -> Array:
             planes.append(np.concatenate((normal, room[:, :, None]), axis=2))
     # (n, 5, 4, s - 1) each
     found = np.concatenate(planes, axis=3).transpose(0, 3, 1, 2)
-    everywhere = ~np.isfinite(found).all(axis=(2, 3))
-    found = np.where(everywhere[..., None, None], np.array([0.0, 0.0, 0.0, 1.0]), found)
+    everywhere = np.any(~np.isfinite(found), axis=(2, 3))
+    found = np.where(
+        everywhere[:, :, np.newaxis, np.newaxis], np.array([0.0, 0.0, 0.0, 1.0]), found
+    )
     return np.ascontiguousarray(found)

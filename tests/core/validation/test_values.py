@@ -21,7 +21,7 @@ from slbench.core.validation.types import Percentile, Samples
 from slbench.core.validation.values import checked
 from slbench.datasets.manifest import Manifest
 from slbench.datasets.read.recipe import Recipe
-from slbench.design.rig.hardware import load_hardware
+from slbench.design.rig.hardware import Sweep, load_hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import load_artefact
 from slbench.patterns import Fringes, NoiseModel, PatternSequence, pattern_codes
@@ -87,6 +87,7 @@ VALUES = [
     Capture(np.zeros((3, 48, 64), np.uint8), SEQUENCE),
     FolderTable(camera="left", projector="main", folder="left-main"),
     load_hardware("hardware/macro-ch6"),
+    Sweep((0.1, -0.1)),
     Exposure(),
     Motion(),
     FrameTiming(period_s=0.01),

@@ -79,7 +79,7 @@ def support(body, directions):
     return np.max(directions @ points.T + radii * across[:, None], axis=1)
 
 
-def rims(body, n=60):
+def rims(body, n=40):
     points, radii, axis = body
     u = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     u /= np.linalg.norm(u)
@@ -94,7 +94,7 @@ def test_barrels_lie_between_bounds():
     directions = rng.normal(size=(4000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     counts = np.zeros(2, dtype=int)
-    for k in range(300):
+    for k in range(120):
         start, along = rng.uniform(-2.5, 2.5, 3), rng.normal(size=3)
         first = frustum(start, start + along, *rng.uniform(0.05, 1.5, 2))
         start, along = rng.uniform(-2.5, 2.5, 3), rng.normal(size=3)
@@ -105,17 +105,18 @@ def test_barrels_lie_between_bounds():
         gap = np.max(-support(first, directions) - support(second, -directions))
         a, b = rims(first), second[0] if k % 2 else rims(second)
         hull = ConvexHull((a[:, None] - b).reshape(-1, 3)).equations
-        # Rims of 60 points are 1 - cos(3 deg) = 0.14 % of a radius of up to 1.5 too small.
+        # Rims of 40 points are 1 - cos(4.5 deg) = 0.3 % of a radius of up to 1.5 too small.
         if got > 0:
             assert got >= gap - 1e-9
-            assert got <= gap + 0.05  # 4000 directions are 2 deg apart, and sizes some 3
-            assert np.max(hull[:, 3]) >= -1e-9 or got < 0.005
+            # A direction is some 0.05 rad from the nearest of 4000, at bodies of such a size.
+            assert got <= gap + 0.05 * (np.ptp(a, axis=0).max() + np.ptp(b, axis=0).max())
+            assert np.max(hull[:, 3]) >= -1e-9 or got < 0.01
         else:
             depth = np.min(-hull[:, 3])
-            assert depth - 1e-9 <= -got <= depth + 0.005
+            assert depth - 1e-9 <= -got <= depth + 0.01
             assert -got <= -gap + 1e-9
         counts[int(got > 0)] += 1
-    assert counts.min() > 30
+    assert counts.min() > 12
 
 
 def test_quick_margins_have_the_signs_of_exact_ones():
@@ -162,7 +163,11 @@ def test_two_barrels_on_one_point_touch_where_their_rims_meet():
     half = np.arctan(10.5 / 20.0)
     for turn, sign in ((1.001, 1), (0.999, -1)):
         poses = [
-            Pose.looking_at((20 * np.sin(s * half * turn), 0, 20 * np.cos(s * half * turn)))
+            Pose.looking_at(
+                (20 * np.sin(s * half * turn), 0, 20 * np.cos(s * half * turn)),
+                (0, 0, 0),
+                (0, 1, 0),
+            )
             for s in (-1, 1)
         ]
         bodies = []
@@ -181,7 +186,8 @@ def test_footprint_of_barrels_is_that_of_their_points():
     got = footprint_mm(OBJECTIVES, OBJECTIVES.place(rows))
     for row, extent in zip(rows, got, strict=True):
         rig = OBJECTIVES.rig(row)
-        points = np.concatenate((rig.camera.body_corners, rig.projector.body_corners))
+        bodies = (rig.camera.body_corners, rig.projector.body_corners)
+        points = np.concatenate((*bodies, rig.volume_corners))
         # Rims of 48 points: 1 - cos(3.75 deg) of 17 mm at either end.
         assert extent == pytest.approx(np.ptp(points[:, :2], axis=0).max(), abs=0.08)
 
