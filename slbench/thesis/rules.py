@@ -189,6 +189,19 @@ def ranked(correlation: float, low: float, size: float) -> Verdict:
     return _two(ranks, 1.0 / SIZE_TOLERANCE <= size <= SIZE_TOLERANCE)
 
 
+def closed_up(gap_mm: float, limit_mm: float, volume_mm3: float, wider_mm3: float) -> Verdict:
+    """Judge whether the largest volume closes a rig up: bodies touch, and a wider rig has less.
+
+    Parameters
+    ----------
+    gap_mm, limit_mm : float
+        What is between the bodies, and at most where they touch.
+    volume_mm3, wider_mm3 : float
+        Largest volume of any rig, and of rigs with a larger angle between the axes.
+    """
+    return _count(0.0 < gap_mm <= limit_mm, wider_mm3 < volume_mm3)
+
+
 def _two(weak: bool, strong: bool) -> Verdict:
     """Return what holds: the weaker statement is a condition of the stronger one."""
     if not weak:
@@ -228,6 +241,7 @@ RULES: Mapping[str, Callable[..., Verdict]] = {
         front,
         more_often,
         ranked,
+        closed_up,
     )
 }
 

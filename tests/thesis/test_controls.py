@@ -148,6 +148,8 @@ CONTROLS = {
     "ch7-factors-with-blur": (noise_alone,),
     "ch7-time-grows": (same_time,),
     "ch7-time-doubles": (level,),
+    # The same volume whatever the angle, and bodies that are far apart.
+    "ch8-rig": (lambda n: n | {"gap_mm": 10.0 * n["limit_mm"], "wider_mm3": n["volume_mm3"]},),
     "ch8-noise-ends": (lambda n: n | {"ratio": n["coarse_ratio"]},),
     **{
         f"ch8-noise-fusion-{name}": (lambda n: n | {"noise": n["averaged"]},)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -50,6 +50,10 @@ def rig(
     min_angle_deg: Annotated[
         Degrees | None, typer.Option(help="Smallest triangulation angle.")
     ] = None,
+    solver: Annotated[
+        Literal["multisearch", "nsga2"],
+        typer.Option(help="Direct MultiSearch, or NSGA-II (the extra pymoo)."),
+    ] = "multisearch",
     start: Annotated[
         Path | None, typer.Option(help="front.npz to go on from, or a CSV of configurations.")
     ] = None,
@@ -100,6 +104,7 @@ def rig(
             max_evaluations=evaluations,
             seed=seed,
             start=begin,
+            solver=solver,
             max_footprint_mm=max_footprint_mm,
             min_angle_deg=min_angle_deg,
             on_progress=_reporter(report, evaluations) if report else None,
@@ -116,6 +121,7 @@ def rig(
         "hardware": hardware,
         "set": listed(made),
         "objectives": design.objectives,
+        "solver": solver,
         "evaluations": design.front.evaluations,
         "max_footprint_mm": max_footprint_mm,
         "min_angle_deg": min_angle_deg,

@@ -1,6 +1,6 @@
 """The rig optimiser: search, cluster, recommend (thesis 3.2, and 5.2 for microscopes).
 
-Direct MultiSearch minimises the objectives of thesis eq. 20 over the six design variables,
+Direct MultiSearch, or NSGA-II, minimises the objectives of thesis eq. 20 over the design variables,
 subject to g1..g6:
 
 * ``error``: ``mu sigma``, mean times standard deviation of the expected error, mm^2;
@@ -25,6 +25,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numba
 import numpy as np
@@ -38,7 +39,7 @@ from slbench.design.rig.constraints import CONSTRAINTS, Constraints, diagnose
 from slbench.design.rig.evaluate import Evaluation, Evaluator
 from slbench.design.rig.hardware import Hardware, Placement
 from slbench.design.rig.volume import largest_box
-from slbench.design.search import multisearch
+from slbench.design.search import multisearch, nsga2
 from slbench.design.search.clustering import Clusters, cluster_front
 from slbench.design.search.front import Front
 from slbench.design.search.positions import row_keys
@@ -47,6 +48,8 @@ from slbench.rig import Pose
 Array = NDArray[np.float64]
 
 OBJECTIVES = ("error", "coverage", "dispersion")
+#: What searches.
+Solver = Literal["multisearch", "nsga2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +107,7 @@ def optimise(
     start: Front | ArrayLike | None = None,
     max_footprint_mm: float | None = None,
     min_angle_deg: float | None = None,
+    solver: Solver = "multisearch",
     on_progress: Callable[[Front], object] | None = None,
 ) -> RigDesign:
     """Search for the best rigs that given hardware can form.
@@ -125,6 +129,8 @@ def optimise(
         Largest horizontal extent, along x and along y, of both bodies and the volume.
     min_angle_deg : float, optional
         Smallest triangulation angle.
+    solver : {"multisearch", "nsga2"}
+        Direct MultiSearch, or NSGA-II (:mod:`slbench.design.search.nsga2`), which draws.
     on_progress : callable, optional
         Called with the front so far after every batch; False ends the search.
 
@@ -153,6 +159,8 @@ def optimise(
     for label, value in (("footprint", max_footprint_mm), ("angle", min_angle_deg)):
         if value is not None and not 0 < value < np.inf:
             raise InputError(f"constraint on {label}", "a positive number", value)
+    if solver not in get_args(Solver):
+        raise InputError("solver", " or ".join(get_args(Solver)), repr(solver))
     columns = [OBJECTIVES.index(name) for name in names]
     binding = [k for k, name in enumerate(CONSTRAINTS) if not (micro and name == "g3")]
 
@@ -176,21 +184,33 @@ def optimise(
         return np.all(spare(x, exact=False) > 0, axis=1)
 
     begin = time.perf_counter()
-    if micro and start is None:
+    if micro and start is None and solver == "multisearch":
         start = _large_volume(hardware, values, spare, seed)
     try:
         with _one_thread():
             if isinstance(start, Front):
                 start = _usable(start, values, feasible, len(hardware.variables))
-            front = multisearch.minimize(
-                values,
-                *hardware.bounds,
-                feasible,
-                max_evaluations=max_evaluations,
-                seed=seed,
-                on_progress=on_progress,
-                start=start,
-            )
+            if solver == "nsga2":
+                front = nsga2.minimize(
+                    values,
+                    *hardware.bounds,
+                    lambda x: spare(x, exact=False),
+                    max_evaluations=max_evaluations,
+                    seed=seed,
+                    on_progress=on_progress,
+                    n_objectives=1 if micro else len(names),
+                    start=start,
+                )
+            else:
+                front = multisearch.minimize(
+                    values,
+                    *hardware.bounds,
+                    feasible,
+                    max_evaluations=max_evaluations,
+                    seed=seed,
+                    on_progress=on_progress,
+                    start=start,
+                )
     except InputError as error:
         if error.where != "constraints":
             raise

@@ -1,5 +1,6 @@
 """Chapter 8 of the thesis re-run: the microscope's noise, patterns, calibration, measurements.
 
+0. the rig that the hardware leads to (8.1.2);
 1. phase noise through the volume (fig. 25) and the sequence it leads to (8.2);
 2. the calibration at 66 positions of the stage (8.3), for stages that are exact and off;
 3. a plane at 44 positions (8.4.1, fig. 33);
@@ -34,6 +35,7 @@ from slbench.thesis.ch8 import report as pages
 from slbench.thesis.ch8.models import STAGES, calibrations
 from slbench.thesis.ch8.noise import THESIS_SEQUENCE
 from slbench.thesis.ch8.results import Calibrations, Merged, Stage
+from slbench.thesis.ch8.rig import HARDWARE, micro_rigs
 from slbench.thesis.ch8.views import measure_object
 from slbench.thesis.outcome import Finding, Outcome
 from slbench.twin.experiment import Y_STEP_MM, run_experiment, stage_positions
@@ -42,7 +44,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, float], None]
 
 #: Tags of the random streams.
-_NOISE, _CALIBRATION, _DRAWS, _PLANES, _ERRORS, _OBJECTS = range(6)
+_NOISE, _CALIBRATION, _DRAWS, _PLANES, _ERRORS, _OBJECTS, _RIG = range(7)
 #: Nominal stage positions of the objects' views, mm (x, y): along x, a grid, a ring.
 _STEP = 0.15
 VIEWS: dict[str, tuple[tuple[float, float], ...]] = {
@@ -168,6 +170,13 @@ def run_ch8(*, preview: bool, seed: int, on_progress: Progress | None = None) ->
     tables: list[Table] = []
     pictures: dict[str, Picture] = {}
     clouds: list[Cloud] = []
+
+    start = time.perf_counter()
+    report("rig", 0.0)
+    rigs = micro_rigs(tagged_seed(seed, _RIG))
+    findings.append(judge.rig_finding(*rigs))
+    tables.append(pages.rig_table(*rigs))
+    seconds["rig"] = time.perf_counter() - start
 
     start = time.perf_counter()
     found = measure_noise(size, tagged_seed(seed, _NOISE), report)
@@ -359,4 +368,5 @@ def _parameters(size: Size) -> dict[str, Any]:
         "views_mm": {name: np.array(places).tolist() for name, places in VIEWS.items()},
         "stage_sigma_mm": STAGE_SIGMA_MM,
         "fusion_of_objects": "modulation",
+        "hardware": HARDWARE,
     }

@@ -19,7 +19,14 @@ from slbench.thesis.ch8.noise import (
     growth,
     sequences,
 )
-from slbench.thesis.ch8.results import END_MM, PLANE_MIDDLE_MM, Calibrations, Merged, Stage
+from slbench.thesis.ch8.results import (
+    END_MM,
+    PLANE_MIDDLE_MM,
+    Calibrations,
+    Merged,
+    MicroRig,
+    Stage,
+)
 from slbench.thesis.outcome import Finding
 from slbench.thesis.rules import (
     GAINED,
@@ -37,6 +44,40 @@ Array = NDArray[np.float64]
 _UM = 1e3
 #: Thesis 8.4.1, um.
 PLANE_LIMIT_UM = 2.0
+
+
+#: Of the barrels' width: closer than this they touch.
+_TOUCHING = 0.01
+#: Edge of the thesis's measurement volume, mm (8).
+THESIS_EDGE_MM = 0.5
+
+
+def rig_finding(best: MicroRig, wider: MicroRig) -> Finding:
+    """Judge 8.1.2: the largest volume goes with the least angle that the bodies allow."""
+    limit = _TOUCHING * best.width_mm
+    box = " x ".join(f"{size:.2f}" for size in best.box_mm)
+    return judged(
+        "ch8-rig",
+        "The largest measurement volume is had with the least angle between the axes that the "
+        "bodies allow (8.1.2)",
+        f"of the rig with the largest volume, the barrels are at most {limit:g} mm apart, a "
+        "hundredth of their width, and no rig with axes 10 deg further apart has as much; in part "
+        "if one of them",
+        "closed-up",
+        {
+            "gap_mm": best.gap_mm,
+            "limit_mm": limit,
+            "volume_mm3": best.volume_mm3,
+            "wider_mm3": wider.volume_mm3,
+        },
+        f"{box} mm at {best.angle_deg:.1f} deg, with {best.gap_mm:.3f} mm between the barrels; "
+        f"{wider.volume_mm3 / best.volume_mm3:.2f} of that volume at {wider.angle_deg:.1f} deg.",
+        thesis=THESIS_EDGE_MM,
+        ours=float(np.cbrt(best.volume_mm3)),
+        unit="mm, edge of a cube of the volume",
+        assumes="the front of an objective is 21 mm wide at 20 mm from the object: the thesis "
+        "states neither it nor the angle",
+    )
 
 
 def model_findings(found: Mapping[Stage, Calibrations]) -> tuple[Finding, Finding]:

@@ -75,6 +75,21 @@ class Calibrations:
 
 
 @dataclass(frozen=True)
+class MicroRig:
+    """A rig for the largest volume: angle, gap between its bodies, box, width of the barrels."""
+
+    angle_deg: float
+    gap_mm: float
+    box_mm: tuple[float, float, float]
+    width_mm: float
+
+    @property
+    def volume_mm3(self) -> float:
+        """Volume of the box."""
+        return float(np.prod(self.box_mm))
+
+
+@dataclass(frozen=True)
 class Growth:
     """Noise of a number of fringes in the middle of the volume and at its two ends, rad."""
 
