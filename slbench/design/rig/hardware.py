@@ -91,7 +91,8 @@ class Placement:
         False where the projector's axis does not meet the reference plane in front of it, or
         the camera stands on the point it aims at; everything else is NaN there.
     optics : (n, m) float
-        Variables of the lenses, mm and rad, in the hardware's order.
+        Variables of the lenses, mm and rad, in the hardware's order; (1, 0) are none, so that a
+        lens is as the hardware has it.
     """
 
     camera_rotation: Array
@@ -102,7 +103,7 @@ class Placement:
     projector_distance: Array
     angle: Array
     valid: NDArray[np.bool_]
-    optics: Array
+    optics: Array = field(default_factory=lambda: np.empty((1, 0)))
 
     __repr__ = brief
 
@@ -265,7 +266,7 @@ class Hardware(Value):
             rad.
         """
         device: Device = getattr(self, role)
-        names, count = list(self.optics), len(optics)
+        names, count = list(self.optics)[: optics.shape[1]], len(optics)
 
         def of(name: str, own: float) -> Array:
             key = f"{role}_{name}"

@@ -416,6 +416,6 @@ def _question(scene: Scene, margins: Mapping[str, float] | None, where: str) -> 
     if bad:
         doubt = "views are planned with it all the same, as they do not change it"
         warn_user(where, f"the rig violates {', '.join(bad)}: {doubt} (slbench design rig)")
-    bare = [name for name, one in scene.rig.devices.items() if one.body_mm is None]
+    bare = [name for name, one in scene.rig.devices.items() if not one.has_body]
     if bare:
         warn_user(where, f"no body_mm of {' and '.join(bare)}: collisions are not looked for")
