@@ -14,7 +14,7 @@ from slbench.core.show.display import length
 from slbench.rig.axes import closest_axes
 from slbench.rig.device import Camera, Device
 from slbench.rig.optics.distortion import fold_radius
-from slbench.rig.rig import Rig
+from slbench.rig.rig import ALONE, Pair, Rig
 
 #: Pitches of sensors and panels, µm, with room: from phones' cameras to thermal ones and LED walls
 #: behind lenses.
@@ -184,8 +184,17 @@ def blur_doubt(device: Device) -> str | None:
 
 
 def rig_doubts(rig: Rig) -> Iterator[tuple[str, str]]:
-    """Return what is odd about a camera and a projector: (what, sentence)."""
-    for name, device in (("camera", rig.camera), ("projector", rig.projector)):
+    """Return what is odd about a rig: (what, sentence), once of each device and pair."""
+    if len(rig.pairs) == 1:
+        yield from _pair_doubts(rig, ALONE)
+        return
+    found = (one for pair in rig.pairs for one in _pair_doubts(rig.pair(pair), pair))
+    yield from dict.fromkeys(found)
+
+
+def _pair_doubts(rig: Rig, names: Pair) -> Iterator[tuple[str, str]]:
+    """Return what is odd about a camera and a projector, which are called by names."""
+    for name, device in zip(names, (rig.camera, rig.projector), strict=True):
         if doubt := pitch_doubt(device):
             yield f"pitch_um of the {name}", doubt
         if doubt := wavelength_doubt(device):
@@ -197,9 +206,9 @@ def rig_doubts(rig: Rig) -> Iterator[tuple[str, str]]:
         if any(device.distortion) and (doubt := fold_doubt(device)):
             yield f"distortion of the {name}", doubt
     if doubt := principal_point_doubt(rig.camera):
-        yield "principal point of the camera", doubt
+        yield f"principal point of the {names.camera}", doubt
     if doubt := baseline_doubt(rig):
-        yield "baseline", doubt
+        yield "baseline" if names == ALONE else f"baseline of {' and '.join(names)}", doubt
 
 
 def _fits(value: float, limits: tuple[float, float]) -> bool:

@@ -57,28 +57,34 @@ def scene_doubts(scene: Scene, tables: SceneTables) -> Iterator[tuple[str, str]]
     if tables.rig.file is None:  # that of a file was questioned as it was read
         yield from rig_doubts(rig)
         yield from _lens_doubts(rig, tables)
-    if tables.projector is not None and tables.projector.response and rig.projector.gamma != 1.0:
-        yield "projector.gamma", 'not used beside a response (to take that out: response = "")'
-    if isinstance(scene.detector, Detector) and (doubt := converter_doubt(scene.detector)):
-        yield "detector.gain_e_per_dn", doubt
+    for name, projector in rig.projectors.items():
+        table = tables.projectors.get(name, tables.projector)
+        if table is not None and table.response and projector.gamma != 1.0:
+            why = 'not used beside a response (to take that out: response = "")'
+            yield f"{tables.key(name, 'projector')}.gamma", why
+    detectors = {"": scene.detector} | {f"cameras.{n}.": d for n, d in scene.detectors.items()}
+    for where, one in detectors.items():
+        if isinstance(one, Detector) and (doubt := converter_doubt(one)):
+            yield f"{where}detector.gain_e_per_dn", doubt
     for key, doubt in scene.colour.doubts() if scene.colour else ():
         yield f"colour.{key}", doubt
     for index, item in enumerate(scene.objects):
-        for doubt in filter(None, (speck_doubt(item, rig), turbidity_doubt(item, rig))):
+        one = rig.pair(rig.pairs[0])
+        for doubt in filter(None, (speck_doubt(item, one), turbidity_doubt(item, one))):
             yield f"objects[{index}]", doubt
 
 
 def _lens_doubts(rig: Rig, tables: SceneTables) -> Iterator[tuple[str, str]]:
-    lenses = (("camera", tables.camera, rig.camera), ("projector", tables.projector, rig.projector))
-    for name, table, device in lenses:
+    for name, table in (tables.optics("camera") | tables.optics("projector")).items():
+        key = tables.key(name)
         # Who states an f-number describes a lens that can be bought.
-        if table is not None and table.f_number and table.focal_length_mm:
-            focus = device.lens.focus_distance_mm
+        if table.f_number and table.focal_length_mm:
+            focus = rig.devices[name].lens.focus_distance_mm
             if doubt := focal_length_doubt(table.focal_length_mm, focus):
-                yield f"{name}.focal_length_mm", f"{doubt}: lens_mm states the focal length"
-    made_for = tables.camera.lens_format if isinstance(tables.camera, CameraOptics) else None
-    if made_for and (doubt := image_circle_doubt(made_for, rig.camera)):
-        yield "camera.lens_format", doubt
+                yield f"{key}.focal_length_mm", f"{doubt}: lens_mm states the focal length"
+        made_for = table.lens_format if isinstance(table, CameraOptics) else None
+        if made_for and (doubt := image_circle_doubt(made_for, rig.cameras[name])):
+            yield f"{key}.lens_format", doubt
 
 
 def image_circle_doubt(lens_format: str, camera: Camera) -> str | None:

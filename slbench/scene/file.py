@@ -35,6 +35,7 @@ from slbench.core.registry import quoted
 from slbench.core.validation.values import validated
 from slbench.core.validation.wording import shown
 from slbench.detector.base import DEFAULT as DEFAULT_DETECTOR
+from slbench.detector.base import DetectorModel
 from slbench.patterns import PatternSequence, read_patterns
 from slbench.patterns.given import PatternsTable
 from slbench.rig import VOLUME_MM, Camera, DesignVariables, Pose, Projector, Rig
@@ -55,7 +56,7 @@ from slbench.scene.doubts import scene_doubts
 from slbench.scene.model import USUAL_PATTERNS, Exposure, Light, Scene, SceneObject, place_of
 from slbench.scene.surfaces.bsdfs import DEFAULT as DEFAULT_BSDF
 from slbench.scene.surfaces.materials import PRESETS, Material, own_materials
-from slbench.scene.tables import SceneOfFile, SceneTables, tables_of
+from slbench.scene.tables import PlaceTable, SceneOfFile, SceneTables, tables_of, with_common
 
 #: Width of a preview where the scene states no divisor, px.
 _PREVIEW_WIDTH = 320
@@ -122,7 +123,8 @@ def load_scene(
     _question(scene, file, path)
     if not preview:
         return scene
-    divisor = file.preview.divisor or max(1, -(-scene.rig.camera.width // _PREVIEW_WIDTH))
+    widest = max(camera.width for camera in scene.rig.cameras.values())
+    divisor = file.preview.divisor or max(1, -(-widest // _PREVIEW_WIDTH))
     return scene.coarser(divisor, file.preview.samples)
 
 
@@ -167,7 +169,8 @@ def objects_of(content: dict[str, Any], path: Path) -> tuple[SceneObject, ...]:
     """
     bare = {key: value for key, value in content.items() if key not in ("set", "modules")}
     bare = {key: value for key, value in bare.items() if key != "calibration"}
-    return _objects(validated(tables_of(bare), bare, path.name, separator=": "), path)
+    tables = validated(tables_of(bare), with_common(bare), path.name, separator=": ")
+    return _objects(tables, path)
 
 
 def load_settings(path: Path, *, allow_modules: bool = False) -> Scene:
@@ -210,7 +213,7 @@ def _scene(
     content = apply_changes(content, changes)
     with naming_changes(path.name, changes):
         content = _with_curve(content, path)
-        file = validated(tables_of(content), content, path.name, separator=": ")
+        file = validated(tables_of(content), with_common(content), path.name, separator=": ")
         if changes:  # for whoever asks where a result comes from
             content["set"] = listed(changes)
         with located(path.name):
@@ -271,14 +274,26 @@ def _with_curve(content: dict[str, Any], path: Path) -> dict[str, Any]:
     The file is relative to the scene that names it, whatever extends that; what was read goes
     with the scene into all that is made of it.
     """
-    projector = content.get("projector")
+    result = dict(content)
+    found = _response_of(content.get("projector"), f"{path.name}: projector", path)
+    if found is not None:
+        result["projector"] = found
+    named = content.get("projectors")
+    for name, table in named.items() if isinstance(named, dict) else ():
+        found = _response_of(table, f"{path.name}: projectors.{name}", path)
+        if found is not None:
+            result["projectors"] = {**result["projectors"], name: found}
+    return result
+
+
+def _response_of(projector: Any, where: str, path: Path) -> dict[str, Any] | None:
+    """Return a projector's table with the curve that it names a file of; None without any."""
     given = projector.get("response") if isinstance(projector, dict) else None
     if not isinstance(given, str):
-        return content
-    with located(f"{path.name}: projector.response"):
+        return None
+    with located(f"{where}.response"):
         curve = Response.read(resources.inside(path.parent, given)).curve
-    rows = [list(pair) for pair in curve or ()]
-    return content | {"projector": {**content["projector"], "response": rows}}
+    return {**projector, "response": [list(pair) for pair in curve or ()]}
 
 
 def _own_changes(table: Any, where: str) -> tuple[Change, ...]:
@@ -352,7 +367,8 @@ def _build(
     allow_modules: bool,
 ) -> Scene:
     rig = _rig(file, path)
-    panel = (rig.projector.width, rig.projector.height)
+    first = next(iter(rig.projectors.values()))
+    panel = (first.width, first.height)
     time_ms, bracket = file.exposure.exposures()
     return Scene(
         name=file.name,
@@ -381,11 +397,25 @@ def _build(
         else read_calibration(file.calibration, rig, path),
         colour=file.colour,
         rig_motion=file.rig.motion,
+        detectors=_detectors(file, path),
     )
 
 
 def _seconds(milliseconds: float | None) -> float | None:
     return None if milliseconds is None else milliseconds * 1e-3
+
+
+def _detectors(file: SceneTables, path: Path) -> dict[str, DetectorModel]:
+    """Return the detectors of cameras that state keys of their own, beside ``[detector]``."""
+    found: dict[str, DetectorModel] = {}
+    for name, table in file.cameras.items():
+        if table.detector:
+            common = file.detector
+            if _of_another_kind(common, table.detector):
+                common = {}
+            where = f"{path.name}: cameras.{name}.detector"
+            found[name] = read_detector({**common, **table.detector}, where)
+    return found
 
 
 def _light(file: SceneTables, path: Path, place: Pose) -> Light:
@@ -422,31 +452,55 @@ def _rig(file: SceneTables, path: Path) -> Rig:
         for table, stated in file.beside(entries.values).items():
             entries = entries.beside(stated, f"{path.name}: {table}")
         return rig_of(entries, looked_at=np.array(file.objects[0].position_mm))
-    assert file.camera is not None  # both by _devices
-    assert file.projector is not None
-    if values.camera is not None and values.projector is not None:
-        poses = [
-            Pose.looking_at(place.position_mm, place.target_mm, place.down)
-            for place in (values.camera, values.projector)
-        ]
-    else:
+    poses = _poses(file, path)
+    # In focus where the axis comes closest to the origin, unless the file says otherwise.
+    for name, pose in poses.items():
+        if pose.origin_depth <= 0:
+            expected = "a device that faces the origin"
+            raise InputError(f"rig.{file.key(name)}", expected, "it faces away")
+    cameras: dict[str, Camera] = {}
+    for name, optics in file.optics("camera").items():
+        with located(f"{path.name}: {file.key(name)}"):
+            arguments = optics.arguments(poses[name].origin_depth)
+            cameras[name] = Camera(**arguments, pose=poses[name])
+    projectors: dict[str, Projector] = {}
+    for name, optics in file.optics("projector").items():
+        with located(f"{path.name}: {file.key(name)}"):
+            arguments = optics.arguments(poses[name].origin_depth)
+            projectors[name] = Projector(**arguments, pose=poses[name])
+    return Rig(cameras, projectors, values.volume_mm or VOLUME_MM)
+
+
+def _poses(file: SceneTables, path: Path) -> dict[str, Pose]:
+    """Return the poses of all devices by name, and check that tables are of devices."""
+    values, names = file.rig, file.rig.names
+    for role, own in names.items():
+        known = list(own)
+        for name in getattr(file, f"{role}s"):
+            if name not in known:
+                expected = f"the name of a {role} that stands in [rig], {', '.join(known)}"
+                raise InputError(f"{path.name}: {role}s.{name}", expected, quoted(name, known))
+    both = [*names["camera"], *names["projector"]]
+    if twice := [name for name in both if both.count(name) > 1]:
+        expected = "a name of its own for every device"
+        raise InputError(f"{path.name}: rig", expected, f"{twice[0]!r} twice")
+    places: dict[str, PlaceTable | None] = {"camera": values.camera, "projector": values.projector}
+    places |= values.cameras | values.projectors
+    poses = {
+        name: Pose.looking_at(place.position_mm, place.target_mm, place.down)
+        for name, place in places.items()
+        if place is not None
+    }
+    if values.z_ref_mm is not None:
         z_ref, w, h, length, alpha, beta = (float(x or 0.0) for x in values.design_values())
         design = DesignVariables(
             z_ref, w, h, length, float(np.deg2rad(alpha)), float(np.deg2rad(beta))
         )
-        poses = list(design.poses())
-        if poses[0].position[2] <= 0:
+        designed = design.poses()
+        if designed[0].position[2] <= 0:
             raise InputError("rig.l_mm", "a camera in front of the reference plane", length)
-    # In focus where the axis comes closest to the origin, unless the file says otherwise.
-    camera_focus, projector_focus = (pose.origin_depth for pose in poses)
-    for name, distance in (("camera", camera_focus), ("projector", projector_focus)):
-        if distance <= 0:
-            raise InputError(f"rig.{name}", "a device that faces the origin", "it faces away")
-    with located(f"{path.name}: camera"):
-        camera = Camera(**file.camera.arguments(camera_focus), pose=poses[0])
-    with located(f"{path.name}: projector"):
-        projector = Projector(**file.projector.arguments(projector_focus), pose=poses[1])
-    return Rig(camera, projector, values.volume_mm or VOLUME_MM)
+        poses |= dict(zip(("camera", "projector"), designed, strict=True))
+    return poses
 
 
 def _objects(file: SceneTables, path: Path) -> tuple[SceneObject, ...]:

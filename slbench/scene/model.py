@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from slbench.capture.exposures import Exposures, check_exposures
 from slbench.capture.focus import Focus
 from slbench.core.colour import BANDS, Band
-from slbench.core.errors import InputError
+from slbench.core.errors import InputError, located
+from slbench.core.random import tagged_seed
 from slbench.core.registry import quoted
 from slbench.core.show.display import block, numbers
 from slbench.core.validation.types import (
@@ -35,13 +36,16 @@ from slbench.detector.emva1288 import Detector
 from slbench.objects import Artefact
 from slbench.patterns import GivenPatterns, PatternSequence, PatternSource, read_patterns
 from slbench.patterns.crosstalk import UNMIXED
-from slbench.rig import Pose, Rig
+from slbench.rig import Pair, Pose, Rig
 from slbench.rig.motion import FrameTiming, Motion, Moving, followed, seen_from
 from slbench.scene.calibration import Calibration, calibration_of
 from slbench.scene.colour import Colour
 from slbench.scene.environment import Environment, Radiance
 from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
 from slbench.scene.surfaces.materials import Material
+
+#: Tag of the seeds of fixed patterns of further cameras.
+_SENSORS = 1
 
 #: What is projected on a scene that states no patterns.
 USUAL_PATTERNS = "1,10,50"
@@ -283,6 +287,8 @@ class Scene(Value):
     rig_motion : Motion or None
         Of all devices during a scan, about the world's origin where it has no centre; points are
         those of the rig at the middle of the scan.
+    detectors : mapping of str to DetectorModel
+        Of cameras, by name, whose detectors are other ones than `detector`.
     """
 
     name: str
@@ -298,6 +304,7 @@ class Scene(Value):
     calibration: Calibration | None = None
     colour: Colour | None = None
     rig_motion: Motion | None = None
+    detectors: Mapping[str, DetectorModel] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -309,13 +316,17 @@ class Scene(Value):
             raise InputError("exposure.bracket", expected, f"{len(self.exposure.bracket)}")
         object.__setattr__(self, "sequence", _calibrated(self.sequence, self.colour))
         self._check_bracket()
-        panel = (self.rig.projector.width, self.rig.projector.height)
+        first, *further = self.rig.projectors
+        panel = _panel(self.rig, first)
         if self.sequence.panel != panel:
             raise InputError(
                 f"scene {self.name}: patterns",
                 f"a sequence for the projector's {panel[0]} x {panel[1]} panel",
                 f"{self.sequence.panel[0]} x {self.sequence.panel[1]}",
             )
+        for name in further:
+            with located(f"scene {self.name}: projector {name}"):
+                self._sequence_of(name)
 
     def __repr__(self) -> str:
         sizes = [f"{name} {one.width} x {one.height} px" for name, one in self.rig.devices.items()]
@@ -459,6 +470,49 @@ class Scene(Value):
             colour=None,
         )
 
+    def pair(self, pair: Pair) -> Self:
+        """Return the scene of one camera and one projector, which keep their names.
+
+        The projector shows the scene's patterns, for a panel of its own size.  The camera has its
+        own detector, or the scene's: then each camera but the first has one of the same make, whose
+        fixed pattern is another.
+
+        Raises
+        ------
+        InputError
+            If the rig has no such device.
+        """
+        rig = self.rig.pair(pair)
+        if self.rig.pairs == (pair,):
+            return self
+        focus = self.focus
+        if focus is not None:
+            focus = Focus({name: focus.distances_mm[name] for name in pair})
+        return replace(
+            self,
+            rig=rig,
+            sequence=self._sequence_of(pair.projector),
+            detector=self._detector_of(pair.camera),
+            detectors={},
+            focus=focus,
+        )
+
+    def _sequence_of(self, projector: str) -> PatternSequence:
+        panel = _panel(self.rig, projector)
+        return (
+            self.sequence if panel == self.sequence.panel else replace(self.sequence, panel=panel)
+        )
+
+    def _detector_of(self, camera: str) -> DetectorModel:
+        if camera in self.detectors:
+            return self.detectors[camera]
+        index, detector = list(self.rig.cameras).index(camera), self.detector
+        seed = getattr(detector, "seed", None)
+        if not index or not isinstance(seed, int):
+            return detector
+        other: Any = detector  # of which only a dataclass is known
+        return replace(other, seed=tagged_seed(seed, _SENSORS, index))
+
     @property
     def moves(self) -> bool:
         """Whether objects or the rig move during a scan."""
@@ -552,6 +606,11 @@ class Scene(Value):
         return replace(
             self, calibration=made, specification=self.specification | {"calibration": table}
         )
+
+
+def _panel(rig: Rig, projector: str) -> tuple[int, int]:
+    one = rig.projectors[projector]
+    return (one.width, one.height)
 
 
 def _calibrated(sequence: PatternSequence, colour: Colour | None) -> PatternSequence:

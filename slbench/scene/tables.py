@@ -40,7 +40,7 @@ from slbench.rig import Pose, Rig
 from slbench.rig.motion import Motion
 from slbench.rig.optics.response import ResponseCurve
 from slbench.scene.colour import Colour
-from slbench.scene.devices.optics import CameraOptics, ProjectorOptics
+from slbench.scene.devices.optics import CameraOptics, Optics, ProjectorOptics
 from slbench.scene.environment import Environment, environment_of
 from slbench.scene.frame_errors import BitPlanes, Drift, Trigger
 
@@ -125,8 +125,16 @@ class PlaceTable(Parameters):
     down: Vector = (0.0, -1.0, 0.0)
 
 
+#: Names of devices become those of folders.
+DeviceName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$", max_length=50)]
+
+
 class RigTable(Parameters):
-    """``[rig]``: where the devices stand, by a design, by places, or from a file."""
+    """``[rig]``: where the devices stand, by a design, by places, or from a file.
+
+    A design and the places ``camera`` and ``projector`` are of the devices that are called so;
+    ``[rig.cameras]`` and ``[rig.projectors]`` have places of further ones, by name.
+    """
 
     z_ref_mm: Coordinate | None = None
     w_mm: Coordinate | None = None
@@ -136,6 +144,8 @@ class RigTable(Parameters):
     beta_p_deg: Coordinate | None = None
     camera: PlaceTable | None = None
     projector: PlaceTable | None = None
+    cameras: dict[DeviceName, PlaceTable] = Field(default_factory=dict)
+    projectors: dict[DeviceName, PlaceTable] = Field(default_factory=dict)
     file: str | None = None
     volume_mm: tuple[Measure, Measure, Measure] | None = None
     motion: Motion | None = None
@@ -143,27 +153,36 @@ class RigTable(Parameters):
     @model_validator(mode="after")
     def _one_way(self) -> RigTable:
         design = self.design_values()
-        places = (self.camera, self.projector)
-        ways = [
-            all(value is not None for value in design),
-            all(place is not None for place in places),
-            self.file is not None,
-        ]
-        used = [
-            any(value is not None for value in design),
-            any(place is not None for place in places),
-            self.file is not None,
-        ]
-        if sum(ways) != 1 or used != ways:
+        own = self.camera is not None or self.projector is not None
+        if any(value is not None for value in design):
+            alone = not own and self.file is None
+            right = alone and all(value is not None for value in design)
+        elif self.file is not None:
+            right = not (own or self.cameras or self.projectors)
+        else:
+            devices = (self.camera or self.cameras, self.projector or self.projectors)
+            right = all(devices)
+        if not right:
             raise ValueError(
                 "either the six of z_ref_mm w_mm h_mm l_mm alpha_p_deg beta_p_deg, "
-                "or camera and projector, or file"
+                "or camera and projector (cameras and projectors where they have names), or file"
             )
         return self
 
     def design_values(self) -> tuple[float | None, ...]:
         """Return z_ref, w, h, l (mm), alpha_p and beta_p (degrees); None where not given."""
         return (self.z_ref_mm, self.w_mm, self.h_mm, self.l_mm, self.alpha_p_deg, self.beta_p_deg)
+
+    @property
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """Names of the devices that stand here, by role; none where they are a file's."""
+        if self.file is not None:
+            return {"camera": (), "projector": ()}
+        designed = self.z_ref_mm is not None
+        return {
+            role: (*((role,) if designed or getattr(self, role) is not None else ()), *further)
+            for role, further in (("camera", self.cameras), ("projector", self.projectors))
+        }
 
 
 class ObjectTable(Parameters):
@@ -444,6 +463,13 @@ class PreviewTable(Parameters):
     samples: Samples = 16
 
 
+class NamedCamera(CameraOptics):
+    """``[cameras.NAME]``: a camera of that name, and its own detector."""
+
+    # In the place of keys of [detector].
+    detector: dict[str, Any] = Field(default_factory=dict)
+
+
 class SceneTables(Parameters):
     """A whole scene file."""
 
@@ -454,6 +480,9 @@ class SceneTables(Parameters):
     modules: tuple[dict[str, str], ...] = ()
     camera: CameraOptics | None = None
     projector: ProjectorOptics | None = None
+    # By name, and complete: what is common to all is filled in (with_common).
+    cameras: dict[DeviceName, NamedCamera] = Field(default_factory=dict)
+    projectors: dict[DeviceName, ProjectorOptics] = Field(default_factory=dict)
     # Its keys are those of its kind (slbench.detector.base).
     detector: dict[str, Any] = Field(default_factory=dict)
     rig: RigTable
@@ -476,9 +505,25 @@ class SceneTables(Parameters):
 
     @model_validator(mode="after")
     def _devices(self) -> SceneTables:
-        if self.rig.file is None and (self.camera is None or self.projector is None):
-            raise ValueError("a [camera] and a [projector] table")
+        for role, names in self.rig.names.items():
+            if getattr(self, role) is None and set(names) - set(getattr(self, f"{role}s")):
+                raise ValueError("a [camera] and a [projector] table")
         return self
+
+    def key(self, name: str, role: str | None = None) -> str:
+        """Return the key of a device's table, by its name: ``camera``, ``cameras.left``.
+
+        `role` is that of a device of a rig's file, whatever its name.
+        """
+        for key in ("cameras", "projectors"):
+            if name in getattr(self, key) or name in getattr(self.rig, key):
+                return f"{key}.{name}"
+        return role or name
+
+    def optics(self, role: Literal["camera", "projector"]) -> dict[str, Optics]:
+        """Return the tables of all cameras or projectors that stand in ``[rig]``, by name."""
+        own, further = getattr(self, role), getattr(self, f"{role}s")
+        return {name: further.get(name, own) for name in self.rig.names[role]}
 
 
 class SceneOfFile(SceneTables):
@@ -502,3 +547,20 @@ def tables_of(content: Mapping[str, Any]) -> type[SceneTables]:
     rig = content.get("rig")
     keys = set(rig) if isinstance(rig, dict) else set()
     return SceneOfFile if "file" in keys <= {"file", "volume_mm", "motion"} else SceneTables
+
+
+def with_common(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a scene's content with what named devices have in common filled in.
+
+    A device that stands in ``[rig.cameras]`` has the keys of ``[camera]``, but for those that its
+    own ``[cameras.NAME]`` states; likewise projectors.
+    """
+    result = dict(content)
+    for role in ("camera", "projector"):
+        named, common = content.get(f"{role}s"), content.get(role)
+        if isinstance(named, Mapping) and isinstance(common, Mapping):
+            result[f"{role}s"] = {
+                name: {**common, **own} if isinstance(own, Mapping) else own
+                for name, own in named.items()
+            }
+    return result
