@@ -178,6 +178,16 @@ class Code(Value, ABC):
         """Return the panel value of frame `k` if it has only one, None by default."""
         return None
 
+    def multiplexed_orders(self, panel: Panel) -> tuple[NDArray[np.intp], ...]:
+        """Return orders in which projectors show the code's frames at once and are told apart.
+
+        Returns
+        -------
+        tuple of (N,) int
+            One a projector: its k-th frame is in this picture.  By default there are none.
+        """
+        return ()
+
     def straightened(
         self, frames: NDArray[Any], panel: Panel, response: Response, saturation: float
     ) -> NDArray[Any]:

@@ -387,6 +387,7 @@ def _build(
             _seconds(file.exposure.frame_period_ms),
             1e-3 * file.exposure.rolling_shutter_ms,
             _seconds(file.exposure.pulse_ms),
+            file.exposure.multiplexed,
         ),
         light=_light(file, path, place_of(rig, scene_objects)),
         samples=file.render.samples,

@@ -197,6 +197,8 @@ class Exposure(Value):
     pulse_s : float or None
         How long of the exposure the projector shines on each row: over so long motion is smeared.
         None for all of it.  The light is that of the whole exposure.
+    multiplexed : bool
+        Several projectors light the scene at the same time; they take turns otherwise.
     """
 
     time_s: Positive | None = None
@@ -209,6 +211,7 @@ class Exposure(Value):
     frame_period_s: Positive | None = None
     rolling_shutter_s: NotNegative = 0.0
     pulse_s: Positive | None = None
+    multiplexed: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()

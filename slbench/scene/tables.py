@@ -302,6 +302,7 @@ class ExposureTable(Parameters):
     frame_period_ms: Measure | None = None
     rolling_shutter_ms: NotNegative = 0.0
     pulse_ms: Measure | None = None
+    multiplexed: bool = False
 
     @model_validator(mode="after")
     def _one_way(self) -> ExposureTable:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import cv2
 import numpy as np
@@ -334,8 +334,15 @@ def _panel(
     return shown if errors is None else errors.panel(shown, pictures)
 
 
+class Lit(Protocol):
+    """Light that an exposure is chosen by."""
+
+    def whites(self) -> list[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+        """Return what each channel sees of the fully lit and the dark panel."""
+
+
 def shutter_for(
-    transport: LightTransport, camera: Camera, detector: DetectorModel, exposure: Exposure
+    transport: Lit, camera: Camera, detector: DetectorModel, exposure: Exposure
 ) -> Shutter:
     """Return the shutter that exposes the pictures of a scene.
 

@@ -44,6 +44,38 @@ from slbench.simulate.transport import LightTransport
 Progress = Callable[[str, float], None]
 
 
+class Stages:
+    """Stages of a scan, which are reported and timed.
+
+    Parameters
+    ----------
+    on_progress : callable or None
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+        By stage, and ``total`` when all are done.
+    """
+
+    def __init__(self, on_progress: Progress | None) -> None:
+        self.seconds: dict[str, float] = {}
+        self._report = on_progress or (lambda stage, fraction: None)
+        self._begin = time.perf_counter()
+
+    @contextmanager
+    def __call__(self, name: str) -> Iterator[Callable[[float], None]]:
+        """Time a stage, and yield what its finished fraction is told to."""
+        start = time.perf_counter()
+        self._report(name, 0.0)
+        yield lambda done: self._report(name, done)
+        self._report(name, 1.0)
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def end(self) -> None:
+        """Note the time of all stages together."""
+        self.seconds["total"] = time.perf_counter() - self._begin
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class View:
     """What a camera sees of a projector's patterns, and what is true there.
@@ -263,6 +295,7 @@ def scan(
     score: bool = True,
     lights: Lights | None = None,
     calibration_seed: int | None = None,
+    stack: FocusStack | None = None,
     on_progress: Progress | None = None,
 ) -> Scan:
     """Measure a scene: trace, capture, decode, triangulate, score.
@@ -285,6 +318,8 @@ def scan(
         them (:mod:`slbench.simulate.lights`); the samples have its seed then.
     calibration_seed : int, optional
         Of the error of the calibration, where every scan has its own; `seed` by default.
+    stack : FocusStack, optional
+        Captures of the scene that are at hand; made otherwise.
     on_progress : callable, optional
 
     Returns
@@ -296,7 +331,8 @@ def scan(
     BackendError
         If Mitsuba cannot run here.
     InputError
-        If the scene cannot be measured as it is.
+        If the scene cannot be measured as it is; one of several cameras or projectors is for
+        :func:`slbench.simulate.several.scan.scan_rig`.
 
     Warns
     -----
@@ -307,22 +343,10 @@ def scan(
     # Mitsuba is needed from here on, and only here.
     from slbench.simulate.render.backend.choice import current
 
-    report = on_progress or (lambda stage, fraction: None)
-    seconds: dict[str, float] = {}
-    begin = time.perf_counter()
-
-    @contextmanager
-    def stage(name: str) -> Iterator[Callable[[float], None]]:
-        start = time.perf_counter()
-        report(name, 0.0)
-        yield lambda done: report(name, done)
-        report(name, 1.0)
-        seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
-
+    stage = Stages(on_progress)
     if samples is not None:
         scene = replace(scene, samples=samples)
-    # Refused before anything is traced: points of several pairs are not yet put together, and
-    # patterns that cannot be decoded.
+    # Refused before anything is traced: several pairs, and patterns that cannot be decoded.
     only = scene.rig.only
     with located(f"scene {scene.name}: patterns {scene.sequence.name}"):
         scene.sequence.runs()
@@ -339,16 +363,17 @@ def scan(
         with stage("truth"):
             truth = light.truth(one)
         with stage("relight") as progress:
-            settings: tuple[LightTransport, ...] | None = (transport,)
-            if scene.focus is not None:  # traced one at a time where none is wanted again
-                settings = None if lights is None else lights.traced(one)
-            stack = capture_stack(
-                one,
-                settings,
-                seed=seed,
-                noise=noise,
-                on_progress=progress,
-            )
+            if stack is None:
+                settings: tuple[LightTransport, ...] | None = (transport,)
+                if scene.focus is not None:  # traced one at a time where none is wanted again
+                    settings = None if lights is None else lights.traced(one)
+                stack = capture_stack(
+                    one,
+                    settings,
+                    seed=seed,
+                    noise=noise,
+                    on_progress=progress,
+                )
         with stage("fuse"):
             fused = stack.fuse(weights)
             fused = replace(fused, capture=replace(fused.capture, rig=rig))
@@ -374,7 +399,7 @@ def scan(
             known = scene.calibration.covariance if scene.calibration else None
             measured = replace(view.capture, rig=made.rig, rig_covariance=known)
             views[only] = replace(view, fused=replace(view.fused, capture=measured))
-    run = Run(seed=seed, noise=noise, variant=current().variant, seconds=seconds)
+    run = Run(seed=seed, noise=noise, variant=current().variant, seconds=stage.seconds)
     used = replace(scene, samples=view.transport.samples, sequence=view.capture.sequence)
     result = Scan(scene=used, views=views, cloud=cloud, run=run, motion=made.motion)
     if score:
@@ -382,7 +407,7 @@ def scan(
             result = score_scan(result)
         if doubt := samples_doubt(result):
             warn_user(f"scene {scene.name}", doubt)
-    seconds["total"] = time.perf_counter() - begin
+    stage.end()
     return result
 
 

@@ -160,6 +160,7 @@ def capture_stack(
     seed: int = 0,
     noise: bool = True,
     moving: MovingLight | None = None,
+    shutter: Shutter | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> FocusStack:
     """Capture a scene at each of its focus settings; once where it has none.
@@ -178,6 +179,8 @@ def capture_stack(
     moving : MovingLight, optional
         Of a scene that moves, for captures that share it (:func:`moving_light`); of the seed by
         default.
+    shutter : Shutter, optional
+        Where something else than the middle setting sets it: what other projectors light.
     on_progress : callable, optional
         Called with the finished fraction.
 
@@ -189,7 +192,6 @@ def capture_stack(
     alone = scene.focus is None
     sequence = scene.sequence if alone else with_lit_frame(scene.sequence)
     rigs, detector, exposure = scene.rigs, scene.detector, scene.exposure
-    shutter: Shutter | None = None
     captures: dict[int, Capture] = {}
     # The middle first: the others take its exposure.
     for k in sorted(range(len(rigs)), key=lambda k: k != len(rigs) // 2):

@@ -18,7 +18,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from math import pi, radians
+from math import gcd, pi, radians
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, cast
 
@@ -232,6 +232,20 @@ class Fringes(Code):
         """Return relative phase, modulation and mean of the set's frames (N, V, U)."""
         usual = self.shifts_deg is None and not self._unusual()
         return relative_phase(frames, None if usual else self.steps(extent(panel, self.axis)))
+
+    def multiplexed_orders(self, panel: Panel) -> tuple[NDArray[np.intp], ...]:
+        """Return orders of equal shifts, in which picture n shows frame ``f n`` modulo N.
+
+        Projectors whose steps are ``f`` and ``g`` times 2 pi / N are told apart by least squares
+        where neither ``f - g`` nor ``f + g`` is a multiple of N: sampled sinusoids of different
+        frequencies below N / 2 are orthogonal, to each other and to a constant.  With ``f`` and N
+        coprime every frame is shown once.  There are as many as numbers coprime to N below N / 2.
+        """
+        count = self.shifts
+        if self.shifts_deg is not None:
+            return ()
+        steps = [f for f in range(1, (count + 1) // 2) if gcd(f, count) == 1]
+        return tuple(pow(f, -1, count) * np.arange(count) % count for f in steps)
 
     def straightened(
         self, frames: NDArray[Any], panel: Panel, response: Response, saturation: float

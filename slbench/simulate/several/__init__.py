@@ -1,0 +1,1 @@
+"""Scenes of several cameras and projectors: captured together, measured a pair, joined."""
