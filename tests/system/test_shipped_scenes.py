@@ -52,7 +52,13 @@ def test_scene(name):
     scene = load_scene(name)
     assert scene.name == name
     preview = load_scene(name, preview=True)
-    assert preview.rig.camera.width <= 320
+    assert max(camera.width for camera in preview.rig.cameras.values()) <= 320
+    for pair in preview.rig.pairs:
+        check_measured(preview.pair(pair), name)
+
+
+def check_measured(preview, name):
+    """Check a scan of one camera and one projector of a shipped scene."""
     result = scan(preview, seed=1)
     # Every scene is lit, seen and measured: nearly all lit pixels have a point...
     assert result.truth.lit.sum() > 10_000

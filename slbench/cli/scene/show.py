@@ -24,8 +24,9 @@ def show(
     changes: SceneChanges = None,
     allow_modules: AllowModules = False,
 ) -> None:
-    """Draw a scene: the rig to scale, and the camera's view."""
+    """Draw a scene: the rig to scale, and the view of each camera."""
     import numpy as np
+    from numpy.typing import NDArray
 
     from slbench.core.io import check_output_file
     from slbench.report.plots.draw import scene_picture
@@ -33,7 +34,13 @@ def show(
 
     check_output_file(out, (".png",))
     loaded = load_changed(scene, changes, preview=True, allow_modules=allow_modules)
-    (light,) = traced(replace(loaded, focus=None), ("u",))
-    channels = [white for white, _ in light.whites()]
-    scene_picture(loaded, np.stack(channels, axis=-1), out)
+    views: dict[str, NDArray[np.float32]] = {}
+    for pair in loaded.rig.pairs:
+        (light,) = traced(replace(loaded.pair(pair), focus=None), ("u",))
+        # Light from around comes once, whatever the number of projectors.
+        known = views.get(pair.camera)
+        channels = [white if known is None else white - dark for white, dark in light.whites()]
+        seen = np.stack(channels, axis=-1)
+        views[pair.camera] = seen if known is None else known + seen
+    scene_picture(loaded, next(iter(views.values())) if len(views) == 1 else views, out)
     print(f"Written to {out}")

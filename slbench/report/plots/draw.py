@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import cycle, islice, pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +16,12 @@ from numpy.typing import NDArray
 from slbench.core.colour import encode_srgb
 from slbench.core.io import atomic_path
 from slbench.objects import Artefact
-from slbench.rig import Pose, Rig, box_corners
+from slbench.rig import Camera, Pose, Projector, Rig, box_corners
 from slbench.rig.axes import volume_place
 from slbench.scene.model import Scene, SceneObject
+
+#: Colours of cameras and of projectors.
+_CAMERAS, _PROJECTORS = ("C0", "C9", "C4", "C3"), ("C1", "C6", "C8")
 
 
 def draw_image(
@@ -105,25 +109,33 @@ def _round_length(length: float) -> float:
     return float(decade * max(step for step in (1.0, 2.0, 5.0) if step * decade <= length))
 
 
-def scene_picture(scene: Scene, view: NDArray[np.float32], path: str | Path) -> None:
-    """Draw a scene: the rig to scale from the front and from the side, and a camera image.
+def scene_picture(
+    scene: Scene, view: NDArray[np.float32] | Mapping[str, NDArray[np.float32]], path: str | Path
+) -> None:
+    """Draw a scene: the rig to scale from the front and from the side, and camera images.
 
     Parameters
     ----------
     scene : Scene
-    view : (V, U) or (V, U, 1) or (V, U, 3) float
-        Radiance under the fully lit panel, in colour for each channel.
+    view : (V, U) or (V, U, 1) or (V, U, 3) float, or a mapping of str to them
+        Radiance under fully lit panels, in colour for each channel; of several cameras by name.
     path : path of the PNG
     """
-    figure = Figure(figsize=(14.0, 6.0), dpi=100, layout="constrained")
+    views = view if isinstance(view, Mapping) else {"camera": view}
+    figure = Figure(figsize=(8.0 + 6.0 * len(views), 6.0), dpi=100, layout="constrained")
     FigureCanvasAgg(figure)
-    *views, picture = figure.subplots(1, 3, width_ratios=[1.0, 1.0, 1.2])
-    _draw_views(figure, views, scene.rig, scene.objects, scene.place)
-    bright = max(float(np.percentile(view, 99.5)), 1e-30)
-    image = view / bright
-    if view.ndim == 3:
-        image = encode_srgb(image) if view.shape[2] > 1 else image[..., 0]
-    draw_image(picture, image, "camera's view, panel white", "gray", "", limits=(0.0, 1.0))
+    front, side, *pictures = figure.subplots(
+        1, 2 + len(views), width_ratios=[1.0, 1.0, *[1.2] * len(views)]
+    )
+    _draw_views(figure, (front, side), scene.rig, scene.objects, scene.place)
+    white = "panel white" if len(scene.rig.projectors) == 1 else "panels white"
+    for (name, one), picture in zip(views.items(), pictures, strict=True):
+        bright = max(float(np.percentile(one, 99.5)), 1e-30)
+        image = one / bright
+        if one.ndim == 3:
+            image = encode_srgb(image) if one.shape[2] > 1 else image[..., 0]
+        whose = f"{name}'s view, {white}"
+        draw_image(picture, image, whose, "gray", "", limits=(0.0, 1.0))
     figure.suptitle(f"{scene.name}: {_distances(scene.rig, scene.place)}")
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
@@ -153,13 +165,25 @@ def _draw_views(
 
 
 def _distances(rig: Rig, place: Pose) -> str:
-    """Return how far the devices are from a place, and the angle that they make there."""
-    camera, projector = (
-        device.pose.position - place.position for device in (rig.camera, rig.projector)
-    )
-    far, long = np.linalg.norm(camera), np.linalg.norm(projector)
-    angle = np.rad2deg(np.arccos(np.clip(camera @ projector / (far * long), -1.0, 1.0)))
-    return f"camera {far:.4g} mm, projector {long:.4g} mm, angle {angle:.1f}°"
+    """Return how far the devices are from a place, and the angles that pairs make there."""
+    apart = {name: one.pose.position - place.position for name, one in _named(rig).items()}
+    far = ", ".join(f"{name} {np.linalg.norm(one):.4g} mm" for name, one in apart.items())
+    cameras, projectors = list(apart)[: len(rig.cameras)], list(apart)[len(rig.cameras) :]
+    several = len(apart) > 2
+    angles = []
+    for one, other in product(cameras, projectors) if projectors else pairwise(cameras):
+        a, b = apart[one], apart[other]
+        cosine = a @ b / (np.linalg.norm(a) * np.linalg.norm(b))
+        angle = np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0)))
+        angles.append(f"{angle:.1f}°" + (f" of {one} and {other}" if several else ""))
+    return f"{far}, {'angles' if len(angles) > 1 else 'angle'} {', '.join(angles)}"
+
+
+def _named(rig: Rig) -> dict[str, Camera | Projector]:
+    """Return the devices of a rig as pictures call them: by what they are where there are two."""
+    if len(rig.cameras) == 1 == len(rig.projectors):
+        return {"camera": rig.camera, "projector": rig.projector}
+    return dict(rig.devices)
 
 
 def draw_rig(
@@ -179,7 +203,8 @@ def draw_rig(
         Of the measurement volume; the world's frame by default.
     """
     place = place or Pose()
-    for device, colour, name in ((rig.camera, "C0", "camera"), (rig.projector, "C1", "projector")):
+    colours = [*islice(cycle(_CAMERAS), len(rig.cameras)), *islice(cycle(_PROJECTORS), 99)]
+    for (name, device), colour in zip(_named(rig).items(), colours, strict=False):
         centre = device.pose.position
         distance = float(np.linalg.norm(centre - place.position))
         frustum = device.frustum(1e-3 * distance, 1.05 * distance)

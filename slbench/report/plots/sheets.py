@@ -36,11 +36,12 @@ def object_sheet(path: str | Path) -> None:
 
 
 def scene_sheet(path: str | Path) -> None:
-    """Draw what the camera of each shipped scene sees under the fully lit panel."""
+    """Draw what the first camera of each shipped scene sees under the first panel fully lit."""
     from slbench.simulate.render.trace import trace
 
     def draw(axes: Any, name: str) -> None:
         scene = load_scene(name, preview=True)
+        scene = scene.pair(scene.rig.pairs[0])
         view = trace(scene.objects, scene.rig, scene.light, ("u",), samples=scene.samples).white()
         axes.imshow(view, cmap="gray", vmin=0.0, vmax=np.percentile(view, 99.5))
         axes.set_title(name, fontsize=9)
