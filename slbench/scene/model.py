@@ -327,6 +327,11 @@ class Scene(Value):
                 f"a sequence for the projector's {panel[0]} x {panel[1]} panel",
                 f"{self.sequence.panel[0]} x {self.sequence.panel[1]}",
             )
+        if self.calibration is not None and len(self.rig.pairs) > 1:
+            expected = "a rig of one camera and one projector"
+            raise InputError(
+                f"scene {self.name}: calibration", expected, ", ".join(self.rig.devices)
+            )
         for name in further:
             with located(f"scene {self.name}: projector {name}"):
                 self._sequence_of(name)
