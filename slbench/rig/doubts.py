@@ -14,7 +14,7 @@ from slbench.core.show.display import length
 from slbench.rig.axes import closest_axes
 from slbench.rig.device import Camera, Device
 from slbench.rig.optics.distortion import fold_radius
-from slbench.rig.rig import ALONE, Pair, Rig
+from slbench.rig.rig import Pair, Rig
 
 #: Pitches of sensors and panels, µm, with room: from phones' cameras to thermal ones and LED walls
 #: behind lenses.
@@ -186,29 +186,29 @@ def blur_doubt(device: Device) -> str | None:
 def rig_doubts(rig: Rig) -> Iterator[tuple[str, str]]:
     """Return what is odd about a rig: (what, sentence), once of each device and pair."""
     if len(rig.pairs) == 1:
-        yield from _pair_doubts(rig, ALONE)
+        yield from _pair_doubts(rig, Pair("the camera", "the projector"), "")
         return
-    found = (one for pair in rig.pairs for one in _pair_doubts(rig.pair(pair), pair))
-    yield from dict.fromkeys(found)
+    pairs = ((rig.pair(pair), pair, f" of {' and '.join(pair)}") for pair in rig.pairs)
+    yield from dict.fromkeys(one for pair in pairs for one in _pair_doubts(*pair))
 
 
-def _pair_doubts(rig: Rig, names: Pair) -> Iterator[tuple[str, str]]:
-    """Return what is odd about a camera and a projector, which are called by names."""
+def _pair_doubts(rig: Rig, names: Pair, both: str) -> Iterator[tuple[str, str]]:
+    """Return what is odd about a camera and a projector, by what each and both are called."""
     for name, device in zip(names, (rig.camera, rig.projector), strict=True):
         if doubt := pitch_doubt(device):
-            yield f"pitch_um of the {name}", doubt
+            yield f"pitch_um of {name}", doubt
         if doubt := wavelength_doubt(device):
-            yield f"wavelength_nm of the {name}", doubt
+            yield f"wavelength_nm of {name}", doubt
         if (doubt := focus_doubt(device)) and not baseline_doubt(rig):
-            yield f"focus_distance_mm of the {name}", doubt
+            yield f"focus_distance_mm of {name}", doubt
         if doubt := blur_doubt(device):
-            yield f"blur_px of the {name}", doubt
+            yield f"blur_px of {name}", doubt
         if any(device.distortion) and (doubt := fold_doubt(device)):
-            yield f"distortion of the {name}", doubt
+            yield f"distortion of {name}", doubt
     if doubt := principal_point_doubt(rig.camera):
-        yield f"principal point of the {names.camera}", doubt
+        yield f"principal point of {names.camera}", doubt
     if doubt := baseline_doubt(rig):
-        yield "baseline" if names == ALONE else f"baseline of {' and '.join(names)}", doubt
+        yield f"baseline{both}", doubt
 
 
 def _fits(value: float, limits: tuple[float, float]) -> bool:

@@ -533,13 +533,8 @@ def _rig_of_several(values: _Values, looked_at: NDArray[np.float64] | None) -> R
     except InputError as error:
         key = "volume_mm" if "volume" in error.where else "cameras"
         raise InputError(values.place(key), error.expected, error.got) from None
-    told = set()
-    for pair in rig.pairs:
-        for what, doubt in rig_doubts(rig.pair(pair)):
-            named = what.replace("the camera", pair.camera).replace("the projector", pair.projector)
-            if (named, doubt) not in told:
-                warn_user(f"{values.path}: {named}", doubt)
-            told.add((named, doubt))
+    for what, doubt in rig_doubts(rig):
+        warn_user(f"{values.path}: {what}", doubt)
     return rig
 
 

@@ -450,9 +450,15 @@ def _rig(file: SceneTables, path: Path) -> Rig:
     if isinstance(file, SceneOfFile):
         assert values.file is not None  # by tables_of
         entries = rig_entries(resources.inside(path.parent, values.file))
-        for table, stated in file.beside(entries.values).items():
+        with located(path.name):
+            beside = file.beside(entries.values)
+        for table, stated in beside.items():
             entries = entries.beside(stated, f"{path.name}: {table}")
-        return rig_of(entries, looked_at=np.array(file.objects[0].position_mm))
+        rig = rig_of(entries, looked_at=np.array(file.objects[0].position_mm))
+        if not rig.projectors:
+            expected = "a rig with a projector, which lights the scene"
+            raise InputError(f"{path.name}: rig.file", expected, "cameras alone")
+        return rig
     poses = _poses(file, path)
     # In focus where the axis comes closest to the origin, unless the file says otherwise.
     for name, pose in poses.items():

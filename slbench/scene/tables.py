@@ -17,6 +17,7 @@ from slbench.capture.exposures import Exposures
 from slbench.capture.focus import MAX_SETTINGS, Focus
 from slbench.core import resources
 from slbench.core.errors import InputError
+from slbench.core.registry import quoted
 from slbench.core.units import Unit
 from slbench.core.validation.tables import Parameters
 from slbench.core.validation.types import (
@@ -112,8 +113,20 @@ class ProjectorBeside(LensBeside):
     def stated(self, role: str, entries: Mapping[str, Any]) -> dict[str, Any]:
         """Return what is stated, as entries of a rig's file."""
         found = super().stated(role, entries)
-        if f"flux_w_{role}" in found:  # of the only projector
-            found["flux_w"] = found.pop(f"flux_w_{role}")
+        if role == "projector" and "flux_w_projector" in found:  # of the only one
+            found["flux_w"] = found.pop("flux_w_projector")
+        return found
+
+
+class NamedCameraBeside(CameraBeside):
+    """``[cameras.NAME]`` beside a rig's file of several devices."""
+
+    detector: dict[str, Any] = Field(default_factory=dict)
+
+    def stated(self, role: str, entries: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what is stated of the lens, as entries of a rig's file."""
+        found = super().stated(role, entries)
+        del found[f"detector_{role}"]
         return found
 
 
@@ -532,15 +545,32 @@ class SceneOfFile(SceneTables):
 
     camera: CameraBeside = CameraBeside()  # type: ignore[assignment]
     projector: ProjectorBeside = ProjectorBeside()  # type: ignore[assignment]
+    cameras: dict[DeviceName, NamedCameraBeside] = Field(default_factory=dict)  # type: ignore[assignment]
+    projectors: dict[DeviceName, ProjectorBeside] = Field(default_factory=dict)  # type: ignore[assignment]
 
     def beside(self, entries: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-        """Return what stands beside the rig's file, as its entries, by the table that states it."""
+        """Return what stands beside the rig's file, as its entries, by the table that states it.
+
+        Raises
+        ------
+        InputError
+            For the table of a device that the file has not.
+        """
         volume = self.rig.volume_mm
-        return {
-            "rig": {} if volume is None else {"volume_mm": np.array(volume, dtype=np.float64)},
-            "camera": self.camera.stated("camera", entries),
-            "projector": self.projector.stated("projector", entries),
-        }
+        found = {"rig": {} if volume is None else {"volume_mm": np.array(volume, np.float64)}}
+        for role in ("camera", "projector"):
+            common, own = getattr(self, role), getattr(self, f"{role}s")
+            named = entries.get(f"{role}s")
+            names = named.split() if isinstance(named, str) else [role]
+            for name in own:
+                if name not in names or named is None:
+                    expected = f"a {role} of the rig's file, {', '.join(names)}"
+                    raise InputError(f"{role}s.{name}", expected, quoted(name, names))
+            for name in names:
+                key = f"{role}s.{name}" if name in own else role
+                stated = own.get(name, common).stated(name, entries)
+                found[key] = found.get(key, {}) | stated
+        return found
 
 
 def tables_of(content: Mapping[str, Any]) -> type[SceneTables]:

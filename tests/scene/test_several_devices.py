@@ -6,11 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slbench.core import resources
 from slbench.core.errors import InputError, InputWarning
 from slbench.detector.emva1288 import Detector
 from slbench.patterns import PatternSequence
-from slbench.rig import Pair
+from slbench.rig import Pair, Rig
+from slbench.rig.opencv import write_rig
 from slbench.scene.file import load_scene
+
+#: The six design variables of a scene's rig.
+DESIGN = ("z_ref_mm", "w_mm", "h_mm", "l_mm", "alpha_p_deg", "beta_p_deg")
 
 TWO = """
 extends = "step-block"
@@ -144,6 +149,41 @@ def test_what_cannot_be_is_refused_by_name(tmp_path, text, line):
     with pytest.raises(InputError) as error:
         load_scene(write(tmp_path, TWO + text))
     assert line in str(error.value)
+
+
+def test_a_rig_of_several_devices_is_one_file(tmp_path):
+    own = load_scene("two-cameras")
+    write_rig(tmp_path / "rig.yaml", own.rig)
+    text = (
+        'extends = "objects.toml"\nname = "filed"\n[rig]\nfile = "rig.yaml"\n'
+        "[camera]\nf_number = 8.0\n[cameras.right]\nblur_px = 0.5\n"
+        "[cameras.right.detector]\nbit_depth = 12\n"
+    )
+    objects = tomllib.loads(resources.find("scenes", "two-cameras").read_text())
+    kept = {key: objects[key] for key in ("objects", "patterns")}
+    write(tmp_path, tomllib_text(kept | {"name": "objects"}), "objects.toml")
+    scene = load_scene(write(tmp_path, text))
+    assert list(scene.rig.devices) == ["left", "right", "projector"]
+    left, right = scene.rig.cameras.values()
+    np.testing.assert_allclose(left.matrix, own.rig.cameras["left"].matrix)
+    np.testing.assert_allclose(right.pose.position, own.rig.cameras["right"].pose.position)
+    assert [one.lens.f_number for one in (left, right)] == pytest.approx([8.0, 8.0])
+    assert [one.blur_px for one in (left, right)] == [0.0, 0.5]
+    assert scene.detectors["right"].bit_depth == 12
+    with pytest.raises(InputError, match=r"cameras\.rihgt: expected a camera of the rig's file"):
+        load_scene(write(tmp_path, text.replace("cameras.right]", "cameras.rihgt]")))
+
+
+def test_cameras_alone_light_nothing(tmp_path):
+    own = load_scene("two-cameras").rig
+    write_rig(tmp_path / "rig.yaml", Rig(own.cameras, {}, own.volume_mm))
+    text = 'extends = "plane"\nname = "dark"\n[set]\n' + "".join(
+        f'"{key}" = ""\n'
+        for key in (*(f"rig.{k}" for k in DESIGN), "camera", "projector", "design")
+    )
+    write(tmp_path, text + '"rig.file" = "rig.yaml"\n', "dark.toml")
+    with pytest.raises(InputError, match=r"rig\.file: expected a rig with a projector"):
+        load_scene(tmp_path / "dark.toml")
 
 
 def test_a_calibration_is_of_one_pair(tmp_path):
