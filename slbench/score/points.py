@@ -7,7 +7,7 @@ the pixel's centre ray truly meets.  Features are fitted to the measured points 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -203,44 +203,62 @@ def score(
         Numbers are NaN where nothing was measured.
     """
     error = point_errors(cloud, truth) if errors is None else errors
+    smooth = truth.smooth()
+    rows, columns = cloud.pixels[:, 1], cloud.pixels[:, 0]
+    in_smooth = smooth[rows, columns]
+    panel = {axis: phase.coordinate[axis] - truth.panel[..., k] for k, axis in _axes(phase)}
+    residual_px = {axis: values[smooth & phase.mask] for axis, values in panel.items()}
+    owner = np.where(truth.lit, truth.object_id, -1)[rows, columns]
+    # What a projector's square pixels do to the phase is the same all along a panel line, so
+    # errors go together along the camera line that follows it.
+    line = cloud.pixels[:, 0 if "u" in cloud.axes else 1]
+    measured = _pixels(cloud, np.isfinite(error[:, 0]))
+    return Score(
+        completeness=_ratio(measured, np.count_nonzero(truth.lit)),
+        **error_numbers(cloud, error, in_smooth),
+        smooth_bias_px={axis: _mean(values) for axis, values in residual_px.items()},
+        smooth_rms_px={axis: _rms(values) for axis, values in residual_px.items()},
+        **by_kind(features_of(cloud, owner, in_smooth, line, objects, rig, level)),
+    )
+
+
+def error_numbers(cloud: PointCloud, error: Array, in_smooth: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return what a score says of the errors of points.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    error : (N, 3) float
+        Measured less true point, mm; NaN where there is no true one.
+    in_smooth : (N,) bool
+        Points on smooth lit surface.
+    """
     lit = np.isfinite(error[:, 0])
     distance = np.linalg.norm(error[lit], axis=-1)
     z = error[lit, 2]
-    smooth = truth.smooth()
-    in_smooth = smooth[cloud.pixels[:, 1], cloud.pixels[:, 0]]
-    panel = {axis: phase.coordinate[axis] - truth.panel[..., k] for k, axis in _axes(phase)}
-    residual_px = {axis: values[smooth & phase.mask] for axis, values in panel.items()}
     median = _median(z)
     mad = _median(np.abs(z - median))
     # 1.4826 MAD estimates the standard deviation of a Gaussian core.
     limit = OUTLIER_SIGMAS * max(1.4826 * mad, 1e-12)
-    predicted = _median(cloud.sigma_total_mm)
-    smooth_error = distance[in_smooth[lit]]
     unsure = cloud.u_total_mm
     coverage = _coverage(cloud, error, in_smooth & lit)
-    seen = np.where(truth.lit, truth.object_id, -1)
-    features = _features(cloud, seen, in_smooth, objects, rig, level)
-    return Score(
-        points=len(cloud),
-        completeness=_ratio(_pixels(cloud, lit), np.count_nonzero(truth.lit)),
-        false_points=int(np.count_nonzero(~lit)),
-        outliers=int(np.count_nonzero(np.abs(z - median) > limit)),
-        bias_z_mm=_mean(z),
-        rms_z_mm=_rms(z),
-        rms_mm=_rms(distance),
-        median_abs_mm=_median(distance),
-        mad_mm=mad,
-        p95_abs_mm=float(np.percentile(distance, 95)) if distance.size else float("nan"),
-        predicted_sigma_mm=predicted,
-        predicted_u_mm=_median(unsure[np.isfinite(unsure)]),
-        coverage_1u=coverage[0],
-        coverage_2u=coverage[1],
-        coverage_3u=coverage[2],
-        smooth_rms_mm=_rms(smooth_error),
-        smooth_bias_px={axis: _mean(values) for axis, values in residual_px.items()},
-        smooth_rms_px={axis: _rms(values) for axis, values in residual_px.items()},
-        **by_kind(features),
-    )
+    return {
+        "points": len(cloud),
+        "false_points": int(np.count_nonzero(~lit)),
+        "outliers": int(np.count_nonzero(np.abs(z - median) > limit)),
+        "bias_z_mm": _mean(z),
+        "rms_z_mm": _rms(z),
+        "rms_mm": _rms(distance),
+        "median_abs_mm": _median(distance),
+        "mad_mm": mad,
+        "p95_abs_mm": float(np.percentile(distance, 95)) if distance.size else float("nan"),
+        "predicted_sigma_mm": _median(cloud.sigma_total_mm),
+        "predicted_u_mm": _median(unsure[np.isfinite(unsure)]),
+        "coverage_1u": coverage[0],
+        "coverage_2u": coverage[1],
+        "coverage_3u": coverage[2],
+        "smooth_rms_mm": _rms(distance[in_smooth[lit]]),
+    }
 
 
 def _pixels(cloud: PointCloud, chosen: NDArray[np.bool_]) -> int:
@@ -289,20 +307,30 @@ def _coverage(cloud: PointCloud, error: Array, chosen: NDArray[np.bool_]) -> lis
     ]
 
 
-def _features(
+def features_of(
     cloud: PointCloud,
-    object_id: NDArray[np.int32],
+    owner: NDArray[np.int32],
     usable: NDArray[np.bool_],
-    objects: tuple[SceneObject, ...],
+    line: NDArray[np.int32],
+    objects: Sequence[SceneObject],
     rig: Rig | None,
     level: bool,
 ) -> list[FeatureScore]:
-    """Fit the features of every object to the points that lie on it: surfaces to smooth ones."""
+    """Fit the features of every object to the points that lie on it: surfaces to smooth ones.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    owner : (N,) int
+        Index of the object that each point is on; -1 for none.
+    usable : (N,) bool
+        Points on smooth lit surface.
+    line : (N,) int
+        Points of one line have errors that go together.
+    objects, rig, level
+        As :func:`score` has them.
+    """
     found: list[FeatureScore] = []
-    owner = object_id[cloud.pixels[:, 1], cloud.pixels[:, 0]]
-    # What a projector's square pixels do to the phase is the same all along a panel line, so
-    # errors go together along the camera line that follows it.
-    line = cloud.pixels[:, 0 if "u" in cloud.axes else 1]
     for k, item in enumerate(objects):
         chosen = owner == k
         points, smooth = cloud.points[chosen], usable[chosen]
