@@ -68,9 +68,9 @@ def scene_doubts(scene: Scene, tables: SceneTables) -> Iterator[tuple[str, str]]
             yield f"{where}detector.gain_e_per_dn", doubt
     for key, doubt in scene.colour.doubts() if scene.colour else ():
         yield f"colour.{key}", doubt
+    first = rig.pair(rig.pairs[0])
     for index, item in enumerate(scene.objects):
-        one = rig.pair(rig.pairs[0])
-        for doubt in filter(None, (speck_doubt(item, one), turbidity_doubt(item, one))):
+        for doubt in filter(None, (speck_doubt(item, first), turbidity_doubt(item, first))):
             yield f"objects[{index}]", doubt
 
 
