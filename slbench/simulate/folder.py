@@ -19,7 +19,7 @@ from slbench.objects import Mesh
 from slbench.scene.model import Scene
 from slbench.scene.truth import GroundTruth
 from slbench.score.points import point_errors
-from slbench.simulate.scan import Scan
+from slbench.simulate.scan import Run, Scan
 from slbench.simulate.sharp import all_in_focus
 
 SCAN_FOLDER = OutputFolder(
@@ -94,36 +94,46 @@ def write_scan(result: Scan, folder: str | Path, *, picture: bool = True) -> lis
         warn_user(folder, doubt)
     provenance = scan_parameters(result), result.run.seed
     with SCAN_FOLDER.writing(folder, *provenance, timings=result.run.seconds) as temporary:
-        result.capture.write_into(temporary)
-        scene = result.scene
-        if scene.focus is not None:
-            result.stack.write_into(temporary / "stack")
-            light = result.transport, scene.detector, scene.exposure
-            all_in_focus(result.stack, *light).write_into(temporary / "all-in-focus")
-        result.truth.save(temporary / "truth.exr")
-        write_png(temporary / "instances.png", result.truth.instances)
-        result.transport.save(temporary / "transport.npz")
-        if len(result.cloud):
-            grey = grey_image(result.capture, result.phase)
-            _write_points(temporary / "cloud.ply", result.cloud, result.truth, grey)
-        write_json(temporary / "score.json", result.to_dict())
-        if picture:
-            write_figure(result, temporary / "summary.png")
+        write_scan_into(result, temporary, picture=picture)
         names = [entry.name for entry in temporary.iterdir()]
     return [Path(folder) / name for name in sorted([*names, SCAN_FOLDER.provenance])]
 
 
+def write_scan_into(result: Scan, root: Path, *, picture: bool = True) -> None:
+    """Write a scan's files as part of a folder that is being made; see :func:`write_scan`."""
+    result.capture.write_into(root)
+    scene = result.scene
+    if scene.focus is not None:
+        result.stack.write_into(root / "stack")
+        light = result.transport, scene.detector, scene.exposure
+        all_in_focus(result.stack, *light).write_into(root / "all-in-focus")
+    result.truth.save(root / "truth.exr")
+    write_png(root / "instances.png", result.truth.instances)
+    result.transport.save(root / "transport.npz")
+    if len(result.cloud):
+        grey = grey_image(result.capture, result.phase)
+        _write_points(root / "cloud.ply", result.cloud, result.truth, grey)
+    write_json(root / "score.json", result.to_dict())
+    if picture:
+        write_figure(result, root / "summary.png")
+
+
 def scan_parameters(result: Scan) -> dict[str, Any]:
     """Return what a scan depends on beside its seed, for its provenance."""
+    return run_parameters(result.scene, result.run)
+
+
+def run_parameters(scene: Scene, run: Run) -> dict[str, Any]:
+    """Return what a run depends on beside its seed: the scene with the samples that were used."""
     return {
-        "scene": result.scene.specification,
-        "patterns": result.scene.sequence.to_dict(),
-        "samples": result.transport.samples,
-        "noise": result.run.noise,
-        "variant": result.run.variant,
+        "scene": scene.specification,
+        "patterns": scene.sequence.to_dict(),
+        "samples": scene.samples,
+        "noise": run.noise,
+        "variant": run.variant,
         "objects": [
             {"name": item.artefact.name, "sha256": _digest(item.artefact.mesh)}
-            for item in result.scene.objects
+            for item in scene.objects
         ],
     }
 

@@ -11,10 +11,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slbench.capture.capture import Capture
 from slbench.capture.doubts import exposure_doubt
@@ -24,7 +25,7 @@ from slbench.core.errors import InputError, located, warn_user
 from slbench.core.show.display import block, length
 from slbench.core.show.document import Table
 from slbench.core.show.drawing import figure
-from slbench.patterns import PhaseMap
+from slbench.patterns import Axis, PhaseMap
 from slbench.patterns.ripple import ripple_rms_px, ripples
 from slbench.rig import Pair, Pose
 from slbench.scene.doubts import unlit
@@ -127,12 +128,14 @@ class ScanScores:
     smooth lit pixels: the error beside which noise is to be judged.  ``monte_carlo_rms_px`` is the
     part of it that more samples would take away; the rest is physical: square panel pixels, and
     what a pixel's footprint averages.  ``fusion`` is None for a scene without focus settings.
+    ``sampling_px`` is that part as a deviation of each pixel (V, U), by axis.
     """
 
     points: Score
     floor_rms_px: float
     monte_carlo_rms_px: float
     fusion: FusionScore | None
+    sampling_px: Mapping[Axis, NDArray[np.float64]] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -434,6 +437,7 @@ def score_scan(scan: Scan) -> Scan:
         floor_rms_px=floor.rms_px,
         monte_carlo_rms_px=floor.sampling_rms_px,
         fusion=fusion,
+        sampling_px=floor.sampling_px,
     )
     return replace(scan, cloud=cloud, scores=scores)
 
