@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -29,8 +30,10 @@ from slbench.core.validation.types import FINITE, Interval, Micrometres, Samples
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from slbench.scene.model import Scene
+    from slbench.score.fusion import FusionScore
     from slbench.score.points import Score
-    from slbench.simulate.scan import Scan, ScanScores
+    from slbench.simulate.scan import Scan
 
 
 #: A tilt of a stage, mrad.
@@ -91,9 +94,6 @@ def scan(
     as_json: Json = False,
 ) -> None:
     """Measure a scene: trace, capture, decode, triangulate, score."""
-    from slbench.simulate.folder import check_scan_folder, write_scan
-    from slbench.simulate.scan import scan as run
-
     loaded = load_changed(
         scene,
         changes,
@@ -131,21 +131,21 @@ def scan(
     if stage_um or tilt_mrad or not register:
         option = "--stage-um" if stage_um else "--tilt-mrad" if tilt_mrad else "--known-poses"
         raise InputError(option, "--views beside it", "none")
+    given: dict[str, Any] = {"seed": seed, "noise": noise, "samples": spp}
+    given |= {"weights": weights, "score": score}
+    if len(loaded.rig.pairs) > 1:
+        _scan_rig(loaded, given, folder, picture, page, as_json)
+        return
+    from slbench.simulate.folder import check_scan_folder, write_scan
+    from slbench.simulate.scan import scan as run
+
     check_scan_folder(loaded, folder, "--out")
     if page is not None:
         from slbench.report.page import check_page_path
 
         check_page_path(page)
     with progress(as_json) as report:
-        result = run(
-            loaded,
-            seed=seed,
-            noise=noise,
-            samples=spp,
-            weights=weights,
-            score=score,
-            on_progress=report,
-        )
+        result = run(loaded, **given, on_progress=report)
         write_scan(result, folder, picture=picture)
         if page is not None:
             from slbench.report.page import write_page
@@ -161,19 +161,61 @@ def scan(
         print(f"Written to {folder}" + (f": open {shown}" if shown else ""))
 
 
+def _scan_rig(
+    scene: Scene,
+    given: dict[str, Any],
+    folder: Path,
+    picture: bool,
+    page: Path | None,
+    as_json: bool,
+) -> None:
+    """Measure a scene by several cameras or projectors."""
+    from slbench.simulate.several.folder import check_rig_folder, write_rig_scan
+    from slbench.simulate.several.scan import scan_rig
+
+    check_rig_folder(scene, folder, "--out")
+    if page is not None:
+        from slbench.report.page import check_page_path
+
+        check_page_path(page)
+    with progress(as_json) as report:
+        result = scan_rig(scene, **given, on_progress=report)
+        write_rig_scan(result, folder, picture=picture)
+        if page is not None:
+            from slbench.report.page import write_page
+            from slbench.report.pages.rig_scan import rig_scan_page
+
+            write_page(rig_scan_page(result), page)
+    written = {"out": folder} if page is None else {"out": folder, "report": page}
+    if as_json:
+        print_json(result.to_dict() | {"seconds": dict(result.run.seconds)} | written)
+        return
+    rows = result.rows()
+    if result.score is not None:
+        rows += _feature_rows(result.score.points)
+    print_table(_laid_out(result.title, rows, result.run.seconds))
+    print_table(result.table())
+    shown = page or (folder / "summary.png" if picture else None)
+    print(f"Written to {folder}" + (f": open {shown}" if shown else ""))
+
+
 def _scan_table(result: Scan) -> Table:
     """Lay a scan's score out for people."""
-    from rich.table import Table
-
-    table = Table(title=f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}")
-    table.add_column("quantity")
-    table.add_column("value", justify="right")
+    title = f"{result.scene.name}, patterns {{{result.scene.sequence.name}}}"
     rows = result.rows()
     if result.scores is not None:
-        rows += _feature_rows(result.scores)
-    seconds = ", ".join(f"{stage} {value:.2f}" for stage, value in result.run.seconds.items())
-    rows.append(("seconds", seconds))
-    for row in rows:
+        rows += _feature_rows(result.scores.points) + _fusion_rows(result.scores.fusion)
+    return _laid_out(title, rows, result.run.seconds)
+
+
+def _laid_out(title: str, rows: list[tuple[str, str]], seconds: Mapping[str, float]) -> Table:
+    from rich.table import Table
+
+    table = Table(title=title)
+    table.add_column("quantity")
+    table.add_column("value", justify="right")
+    times = ", ".join(f"{stage} {value:.2f}" for stage, value in seconds.items())
+    for row in (*rows, ("seconds", times)):
         table.add_row(*row)
     return table
 
@@ -202,9 +244,9 @@ def _declared_rows(score: Score) -> list[tuple[str, str]]:
     return rows
 
 
-def _feature_rows(scores: ScanScores) -> list[tuple[str, str]]:
-    """Return features and fusion of a scored scan, (quantity, value)."""
-    score, um = scores.points, 1e3
+def _feature_rows(score: Score) -> list[tuple[str, str]]:
+    """Return the features of a score, (quantity, value)."""
+    um = 1e3
     rows = [
         (
             f"step {step.nominal_mm:g} mm",
@@ -231,17 +273,20 @@ def _feature_rows(scores: ScanScores) -> list[tuple[str, str]]:
         )
         for s in score.spacings
     ]
-    rows += _declared_rows(score)
-    fusion = scores.fusion
-    if fusion is not None:
-        rows += [
-            (
-                f"phase of {fusion.finest:g} fringes, {place} the depth of field",
-                f"fused {fused.phase_rms:.4f} rad, middle setting {middle.phase_rms:.4f} rad",
-            )
-            for place, fused, middle in (
-                ("inside", fusion.fused_inside, fusion.middle_inside),
-                ("outside", fusion.fused_outside, fusion.middle_outside),
-            )
-        ]
-    return rows
+    return [*rows, *_declared_rows(score)]
+
+
+def _fusion_rows(fusion: FusionScore | None) -> list[tuple[str, str]]:
+    """Return what a fused stack is worth, (quantity, value)."""
+    if fusion is None:
+        return []
+    return [
+        (
+            f"phase of {fusion.finest:g} fringes, {place} the depth of field",
+            f"fused {fused.phase_rms:.4f} rad, middle setting {middle.phase_rms:.4f} rad",
+        )
+        for place, fused, middle in (
+            ("inside", fusion.fused_inside, fusion.middle_inside),
+            ("outside", fusion.fused_outside, fusion.middle_outside),
+        )
+    ]

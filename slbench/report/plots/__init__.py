@@ -15,6 +15,7 @@ DRAWERS: dict[str, str] = {
     "slbench.cloud.joint:JointCloud": "slbench.report.plots.stream:joint_cloud",
     "slbench.cloud.triangulation:PointCloud": "slbench.report.plots.stream:cloud",
     "slbench.simulate.scan:Scan": "slbench.report.plots.scan:summary",
+    "slbench.simulate.several.scan:RigScan": "slbench.report.plots.rig_scan:summary",
     "slbench.score.clouds.cloudscore:CloudScore": "slbench.report.plots.cloudscore:draw",
     "slbench.twin.twin:Twin": "slbench.report.plots.twin:draw",
     "slbench.bench.compare.comparison:Comparison": "slbench.report.pages.compare:draw",

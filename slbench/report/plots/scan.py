@@ -114,9 +114,11 @@ def panels(scan: Scan) -> tuple[list[Panel], list[Panel]]:
     return _seen(scan), _found(scan)
 
 
-def _image(
+def image_panel(
     values: NDArray, title: str, caption: str, colours: str, unit: str, **more: Any
 ) -> Panel:
+    """Return the picture of an image (V, U); `more` is for :meth:`Sheet.image`."""
+
     def draw(sheet: Sheet, place: Place, shown_title: str) -> Any:
         return sheet.image(place, values, shown_title, colours, unit, **more)
 
@@ -132,21 +134,23 @@ def _seen(scan: Scan) -> list[Panel]:
         k = frame // len(pictures.channels)
         title, caption = f"Picture {k}", "One picture as the camera gave it, encoded for a display."
         seen = encode_srgb(pictures.values[k] / scan.capture.top_dn)
-    found = [_image(seen, title, caption, "gray", "DN")]
+    found = [image_panel(seen, title, caption, "gray", "DN")]
     if phase is not None:
         caption = "What the finest patterns say of each pixel before the fringe order is known."
         title = "Relative phase of that set"
-        found.append(_image(phase, title, caption, "twilight", "rad", limits=(0.0, 2.0 * np.pi)))
+        found.append(
+            image_panel(phase, title, caption, "twilight", "rad", limits=(0.0, 2.0 * np.pi))
+        )
     for axis in axes:
         caption = "Where on the projector's panel the light of each pixel comes from."
         coordinate = scan.phase.coordinate[axis]
-        found.append(_image(coordinate, f"Panel coordinate {axis}", caption, _COLOURS, "px"))
+        found.append(image_panel(coordinate, f"Panel coordinate {axis}", caption, _COLOURS, "px"))
     caption = "How much the patterns change the light of a pixel: the more, the less noise."
-    found.append(_image(scan.phase.modulation, "Modulation", caption, "magma", "DN"))
+    found.append(image_panel(scan.phase.modulation, "Modulation", caption, "magma", "DN"))
     for axis in axes:
         caption = "What the detector's noise does to the panel coordinate, as predicted."
         title = f"Predicted deviation of {axis}"
-        found.append(_image(scan.phase.sigma[axis], title, caption, "magma", "px", robust=2.0))
+        found.append(image_panel(scan.phase.sigma[axis], title, caption, "magma", "px", robust=2.0))
     return found
 
 
@@ -154,8 +158,8 @@ def _found(scan: Scan) -> list[Panel]:
     cloud = scan.cloud
     z = cloud.points[:, 2]
     error = point_errors(cloud, scan.truth)[:, 2]
-    limit = _limit(error)
-    error_unit, height_unit = length_unit(limit), length_unit(_range(z))
+    limit = error_limit(error)
+    error_unit, height_unit = length_unit(limit), length_unit(shown_range(z))
     errors = cloud.image(error_unit.per_mm * error)
     limit *= error_unit.per_mm
     return [
@@ -164,7 +168,7 @@ def _found(scan: Scan) -> list[Panel]:
             "Measured points as a surface in light from the left, coloured by height.",
             lambda sheet, place, title: _shape(sheet, place, title, scan, height_unit),
         ),
-        _image(
+        image_panel(
             cloud.image(height_unit.per_mm * z),
             "Measured height z",
             "Heights in the world's frame; grey: not measured.",
@@ -172,7 +176,7 @@ def _found(scan: Scan) -> list[Panel]:
             height_unit.name,
             robust=_TAIL,
         ),
-        _image(
+        image_panel(
             errors,
             "Height error",
             "Measured less true height; grey: not measured, or no lit point in truth.",
@@ -205,12 +209,13 @@ def _frame_and_phase(scan: Scan, axis: Axis) -> tuple[tuple[int, NDArray | None]
     return (start, phase), title
 
 
-def _limit(error: Array) -> float:
+def error_limit(error: Array) -> float:
+    """Return the size of errors that is shown: all but the outermost 2 %."""
     finite = np.abs(error[np.isfinite(error)])
     return float(np.percentile(finite, 98.0)) or 1e-3 if finite.size else 1e-3
 
 
-def _range(values: Array) -> Array:
+def shown_range(values: Array) -> Array:
     """Return what of heights is shown: all but the outermost."""
     finite = values[np.isfinite(values)]
     return np.percentile(finite, [_TAIL, 100.0 - _TAIL]) if finite.size else np.zeros(2)

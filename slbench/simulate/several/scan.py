@@ -19,6 +19,7 @@ from slbench.cloud.joint import JointCloud, triangulate_jointly
 from slbench.core.errors import located
 from slbench.core.show.display import block
 from slbench.core.show.document import Cell, Table
+from slbench.core.show.drawing import figure
 from slbench.patterns.ripple import ripple_rms_px, ripples
 from slbench.rig import Pair
 from slbench.scene.model import Scene
@@ -75,6 +76,10 @@ class RigScan:
 
     def _repr_html_(self) -> str:
         return Table(self.title, ("quantity", "value"), tuple(self.rows()))._repr_html_()
+
+    def plot(self) -> Any:
+        """Return a matplotlib figure: for each camera what it saw, and heights and errors."""
+        return figure(self)
 
     def captures(self) -> Captures:
         """Return the frames of all pairs that were decoded."""
