@@ -108,6 +108,7 @@ def values(tmp_path_factory):
         ),
         sl.capture.Captures({scan.capture.pair: scan.capture}, scene.rig),
         sl.cloud.triangulate_jointly(scene.rig, {scan.capture.pair: scan.phase}),
+        sl.simulate.scan_rig(scene),
         *(stack, stack.focus, scan.capture.noise, sl.patterns.Rule.ORDER),
         *(sl.Fringes(8), sl.GrayCode(), sl.Flat(1.0), scene.sequence.frames()[0]),
         scene.with_patterns("white+black+gray+1,2,4,8,16,32,64@8", axes="uv").sequence,

@@ -9,6 +9,9 @@ from .render.groundtruth import ground_truth as ground_truth
 from .render.trace import trace as trace
 from .scan import Scan as Scan
 from .scan import score_scan as score_scan
+from .several.folder import write_rig_scan as write_rig_scan
+from .several.scan import RigScan as RigScan
+from .several.scan import scan_rig as scan_rig
 from .stack import capture_stack as capture_stack
 from .stack import traced as traced
 from .transport import LightTransport as LightTransport
