@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slbench.rig import Device, Rig
+from slbench.rig import Rig
 from slbench.scene.model import SceneObject
 from slbench.scene.truth import GroundTruth, Status
 from slbench.simulate.render.mitsuba import dr, mi
@@ -81,43 +81,12 @@ class Surfaces:
             rays.run(truth, slice(first, min(first + step, camera.height)))
         return truth
 
-    def visible_from(
-        self, device: Device, point: Array, normal: Array, hit: NDArray[np.bool_]
-    ) -> NDArray[np.bool_]:
-        """Return which points on surfaces face a device's lens centre with a free view of it.
-
-        Parameters
-        ----------
-        device : Device
-        point, normal : (N, 3) float
-            World points, mm, and unit normals on their side that is meant.
-        hit : (N,) bool
-            The others are no points.
-
-        Returns
-        -------
-        (N,) bool
-            Also of points beyond the edges of its panel.
-        """
-        source = device.chief_origin(point)
-        facing = hit & (np.sum((source - point) * normal, axis=-1) > 0)
-        facing &= device.pose.to_local(point)[:, 2] > 0
-        # Off the surface by more than single precision rounds, as Mitsuba does by itself.
-        scale = 1.0 + np.max(np.abs(np.nan_to_num(point)), axis=-1, keepdims=True)
-        start = point + normal * scale * 1e-5
-        toward = source - start
-        length = np.linalg.norm(toward, axis=-1)
-        ray = mi.Ray3f(mi.Point3f(_columns(start)), mi.Vector3f(_columns(toward / length[:, None])))
-        ray.maxt = mi.Float(np.nan_to_num(length).astype(np.float32))
-        blocked = self.geometry.ray_test(ray, active=mi.Bool(facing))
-        return facing & ~np.asarray(blocked.numpy(), dtype=bool)
-
 
 class _Rays:
     def __init__(self, surfaces: Surfaces, rig: Rig) -> None:
         self.camera, self.projector = rig.camera, rig.projector
-        self.surfaces, self.geometry = surfaces, surfaces.geometry
-        self.indices, self.shapes = surfaces.indices, surfaces.shapes
+        self.geometry, self.indices = surfaces.geometry, surfaces.indices
+        self.shapes = surfaces.shapes
 
     def run(self, truth: GroundTruth, rows: slice) -> None:
         v, u = np.mgrid[rows, 0 : self.camera.width].astype(np.float64)
@@ -140,7 +109,6 @@ class _Rays:
         hit = ids >= 0
         panel = self.projector.project(point)
         seen = free_view(self.geometry, self.projector, point, normal, hit)
-        seen = self.surfaces.visible_from(self.projector, point, normal, hit)
         status = np.full(ids.size, Status.MISSED, np.uint8)
         status[hit] = Status.SHADOWED
         status[seen] = Status.OUTSIDE
@@ -173,7 +141,3 @@ class _Rays:
         for identifier, k in self.indices.items():
             which[instance == identifier] = k
         return which, np.where(which >= 0, hit.prim_index.numpy(), 0).astype(np.int64)
-
-
-def _columns(vectors: Array) -> Any:
-    return np.ascontiguousarray(np.nan_to_num(vectors).T.astype(np.float32))

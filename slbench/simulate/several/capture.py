@@ -53,15 +53,19 @@ def camera_seed(seed: int, rig: Rig, camera: str) -> int:
     return seed if k == 0 else tagged_seed(seed, _CAMERAS, k)
 
 
-def check_multiplexed(scene: Scene) -> None:
-    """Check that projectors which light a scene at the same time can be told apart.
+def check_several(scene: Scene) -> None:
+    """Check that a scene can be measured by several devices, before light is traced.
 
     Raises
     ------
     InputError
-        For patterns that are not separable, and what is not simulated of projectors at once.
+        For motion; of projectors that light it at the same time for patterns which do not tell them
+        apart, and for what is not simulated of them.
     """
     exposure = scene.exposure
+    if scene.moves and len(scene.rig.pairs) > 1:
+        expected = "a scene at rest before several cameras or projectors"
+        raise InputError(f"scene {scene.name}: motion", expected, "one that moves")
     if not exposure.multiplexed:
         return
     for what, stated in (

@@ -29,7 +29,7 @@ from slbench.simulate.scan import Progress, Run, Scan, Stages, scan
 from slbench.simulate.several.capture import (
     camera_seed,
     capture_pairs,
-    check_multiplexed,
+    check_several,
     pair_seed,
 )
 from slbench.simulate.several.surface import lit_surface
@@ -164,7 +164,7 @@ def scan_rig(
         scene = replace(scene, samples=samples)
     pairs = scene.rig.pairs
     parts = {pair: _part(scene, pair) for pair in pairs}
-    check_multiplexed(scene)
+    check_several(scene)
     with located(f"scene {scene.name}"):
         check_frame_errors(scene)
     for one in parts.values():

@@ -30,9 +30,10 @@ def lit_surface(scene: Scene, truths: Mapping[Pair, GroundTruth]) -> LitSurface:
     truths : mapping of Pair to GroundTruth
         Of all pairs.
     """
-    from slbench.simulate.render.groundtruth import Surfaces
+    from slbench.simulate.render.translate import geometry
+    from slbench.simulate.render.ways import free_view
 
-    surfaces, cameras = Surfaces(scene.objects), scene.rig.cameras
+    shapes, cameras = geometry(scene.objects), scene.rig.cameras
     of_camera = {pair.camera: truth for pair, truth in truths.items()}
     lit = {
         name: np.logical_or.reduce([one.lit for pair, one in truths.items() if pair.camera == name])
@@ -49,7 +50,7 @@ def lit_surface(scene: Scene, truths: Mapping[Pair, GroundTruth]) -> LitSurface:
             if other != name:
                 with np.errstate(invalid="ignore"):
                     inside = camera.contains(camera.project(point))
-                seen[other] = inside & surfaces.visible_from(camera, point, normal, hit)
+                seen[other] = inside & free_view(shapes, camera, point, normal, hit)
                 theirs = of_camera[other], lit[other]
                 pixels[other] = _nearest(camera, point, normal, seen[other], *theirs)
         before = list(cameras)[:k]
