@@ -27,6 +27,7 @@ from slbench.core.validation.types import Measure, OrderResidual
 if TYPE_CHECKING:
     from slbench.cloud.together import DecodedRig
     from slbench.patterns import Response
+    from slbench.rig.motion import Motion
 
 
 @command("slbench decode out/step-block --out decoded")
@@ -81,6 +82,19 @@ def decode(
     far: Annotated[
         Measure | None, typer.Option(help="Largest depth that blocks are searched at, mm.")
     ] = None,
+    velocity: Annotated[
+        str | None,
+        typer.Option(
+            help="Velocity of what was seen, mm/s, to be taken out: 0,0,20, or estimated.  The "
+            "capture.toml has frame_period_ms."
+        ),
+    ] = None,
+    rotation: Annotated[
+        str | None, typer.Option(help="Its angular velocity besides, deg/s: 0,0,90.")
+    ] = None,
+    rotation_centre: Annotated[
+        str | None, typer.Option(help="A point of the axis, mm.  [default: 0,0,0]")
+    ] = None,
     gamma: Gamma = None,
     response: ResponseFile = None,
     allow_modules: AllowModules = False,
@@ -100,7 +114,11 @@ def decode(
     target = out or (folder if folder.is_dir() else folder.parent) / "decoded"
     several: dict[str, Any] = {"stereo": stereo, "cameras": cameras, "projectors": projectors}
     several |= {"near": near, "far": far}
+    motion = _motion(velocity, rotation, rotation_centre)
     if holds_pairs(folder):
+        if motion is not None:
+            expected = "none with several cameras and projectors: decode them pair by pair"
+            raise InputError("--velocity", expected, velocity or rotation)
         if meeting != "ray":
             raise InputError("--meeting", "ray, as several devices are triangulated", meeting)
         limits = {"min_modulation": min_modulation, "max_order_residual": max_order_residual}
@@ -148,12 +166,15 @@ def decode(
         max_order_residual=max_order_residual,
         decoder=own,
         meeting=meeting,
+        motion=motion,
         where=folder,
     )
     parameters = {"folder": str(folder), "rig": str(rig) if rig else None, "decoder": decoder}
     parameters |= {"meeting": meeting}
     if shots.response is not None:
         parameters |= {"response": str(shots.response)}
+    if motion is not None:
+        parameters |= {"motion": decoded.motion}
     files = {}
     if picture:
         from slbench.report.plots.decoded import write_decoded_picture
@@ -256,3 +277,38 @@ def _write_together(
         print(f"{name}: {value}")
     shown = page or (target / "summary.png" if files else None)
     print(f"Written to {target}" + (f": open {shown}" if shown else ""))
+
+
+def _motion(
+    velocity: str | None, rotation: str | None, centre: str | None
+) -> Motion | Literal["estimated"] | None:
+    """Return the motion that options state."""
+    from slbench.rig.motion import Motion
+
+    if centre is not None and rotation is None:
+        raise InputError("--rotation-centre", "--rotation beside it", centre)
+    if velocity == "estimated":
+        if rotation is not None:
+            raise InputError("--rotation", "none beside --velocity estimated", rotation)
+        return "estimated"
+    if velocity is None and rotation is None:
+        return None
+    still = (0.0, 0.0, 0.0)
+    return Motion(
+        velocity_mm_per_s=still if velocity is None else _vector(velocity, "--velocity"),
+        rotation_deg_per_s=still if rotation is None else _vector(rotation, "--rotation"),
+        centre_mm=None if centre is None else _vector(centre, "--rotation-centre"),
+    )
+
+
+def _vector(text: str, option: str) -> tuple[float, float, float]:
+    """Return three numbers with commas between."""
+    more = " or estimated" if option == "--velocity" else ""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        expected = f"three numbers such as 0,0,20{more}"
+        raise InputError(option, expected, repr(text)) from None
+    if not all(abs(one) <= 1e6 for one in (x, y, z)):
+        raise InputError(option, "numbers from -1e6 to 1e6", repr(text))
+    return x, y, z

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +22,15 @@ from slbench.cloud.calibrated import with_calibration
 from slbench.cloud.files.write import point_fields
 from slbench.cloud.gaps import RayGap, lost_points, ray_gap, rig_doubts
 from slbench.cloud.triangulation import Meeting, PointCloud, triangulate
-from slbench.core.errors import warn_user
+from slbench.core.errors import InputError, warn_user
 from slbench.core.io import OutputFolder, write_exr, write_json, write_ply
 from slbench.core.show.display import brief, length
 from slbench.patterns import Decoder, NoiseModel, PhaseMap, Rule, decoded_by
 from slbench.patterns.ripple import Ripple, ripple_rms_px, ripples
+from slbench.rig.motion import Motion
+
+if TYPE_CHECKING:
+    from slbench.cloud.motion import AtRest
 
 DECODED_FOLDER = OutputFolder(
     "decoded capture", ("phase.exr", "cloud.ply", "decode.json", "summary.png")
@@ -56,6 +60,8 @@ class Decoded:
         Where both axes are coded and the rig is known.
     warnings : tuple of str
         What is probably wrong with the capture or its rig, a sentence each.
+    motion : str
+        What was taken out of the frames, which are those of the capture then; empty for none.
     """
 
     capture: Capture
@@ -67,6 +73,7 @@ class Decoded:
     lost: dict[str, int]
     gap: RayGap | None
     warnings: tuple[str, ...]
+    motion: str = ""
 
     __repr__ = brief
 
@@ -92,6 +99,7 @@ class Decoded:
             else {"mm": _quantiles(self.gap.mm), "deviations": _quantiles(self.gap.deviations)},
             "points_dropped": self.lost,
             "warnings": list(self.warnings),
+            **({"motion": self.motion} if self.motion else {}),
         }
 
     def rows(self) -> list[tuple[str, str]]:
@@ -114,6 +122,8 @@ class Decoded:
             for one in values.get("exposures", ())
         ]
         rows.append(("noise", self.noise_kind))
+        if self.motion:
+            rows.append(("motion", self.motion))
         dropped = [f"{name} {count}" for name, count in self.dropped.items() if count]
         rows.append(("dropped", ", ".join(dropped) or "none"))
         lost = [f"{name} {count}" for name, count in self.lost.items() if count]
@@ -253,6 +263,7 @@ def decode_capture(
     max_order_residual: float | None = None,
     decoder: Decoder | None = None,
     meeting: Meeting = "ray",
+    motion: Motion | Literal["estimated"] | None = None,
     where: object = "capture",
 ) -> Decoded:
     """Decode a capture with its evidence, and triangulate it where its rig is known.
@@ -273,6 +284,9 @@ def decode_capture(
         limits, and no evidence but its mask and deviations.
     meeting : {"ray", "nearest"}
         Where the point of two coded axes is, as of :func:`triangulate`.
+    motion : Motion or "estimated", optional
+        Of all that is seen, to be taken out of the frames (:mod:`slbench.cloud.motion`); about the
+        world's origin where it has no centre.
     where : object
         What to call the capture in a warning, its folder.
 
@@ -280,15 +294,28 @@ def decode_capture(
     -------
     Decoded
 
+    Raises
+    ------
+    InputError
+        For motion that cannot be taken out (:func:`slbench.cloud.motion.at_rest`).
+
     Warns
     -----
     InputWarning
         If nearly all pixels are saturated or dark, the frames are not those of the patterns, or
         the rays of the rig do not meet; :attr:`Decoded.warnings` has the same sentences.
     """
+    resting, moved = None, ""
+    if motion is not None:
+        if decoder is not None:
+            raise InputError("motion", "none beside a decoder of one's own", "one")
+        resting, moved = _at_rest(capture, motion)
+        capture = resting.capture
 
     def decoded_with(noise: NoiseModel, **options: Any) -> PhaseMap:
-        return replace(capture, noise=noise).decode(
+        own = replace(capture, noise=noise)
+        shots = own if resting is None else replace(resting, capture=own)
+        return shots.decode(
             min_modulation=min_modulation,
             max_order_residual=max_order_residual,
             keep_evidence=True,
@@ -320,7 +347,19 @@ def decode_capture(
         doubts += rig_doubts(phase, lost, gap)
     for doubt in doubts:
         warn_user(where, doubt)
-    return Decoded(capture, phase, cloud, ripple, noise, kind, lost, gap, tuple(doubts))
+    return Decoded(
+        capture, phase, cloud, ripple, noise, kind, lost, gap, tuple(doubts), motion=moved
+    )
+
+
+def _at_rest(capture: Capture, motion: Motion | Literal["estimated"]) -> tuple[AtRest, str]:
+    """Return a capture as if nothing had moved, and what has."""
+    from slbench.cloud.motion import at_rest, estimated_motion  # SciPy's, for few captures
+
+    if isinstance(motion, Motion):
+        return at_rest(capture, motion.at), str(motion)
+    found = estimated_motion(capture)
+    return at_rest(capture, found.motion.at), f"{found}, estimated"
 
 
 def _decoded_by(decoder: Decoder, capture: Capture) -> PhaseMap:

@@ -20,7 +20,7 @@ from slbench.core.errors import InputError
 from slbench.core.show.display import block, share
 from slbench.core.show.drawing import figure
 from slbench.core.threads import in_bands
-from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observed, Rule
+from slbench.patterns.base import AnyFloatArray, Axis, FloatArray, Found, Observed, Rule, Run
 from slbench.patterns.crosstalk import amplified, carried_sigma, unmixed
 from slbench.patterns.noise import NoiseModel
 from slbench.patterns.sequence import PatternSequence
@@ -90,6 +90,8 @@ class PhaseMap:
         return figure(self)
 
 
+#: How far codes are off, px: by index of the part and axis, (V, U).
+Drift = Mapping[tuple[int, Axis], FloatArray]
 #: A decoder of the user's own: from frames (N, V, U) and what was projected.
 Decoder = Callable[[NDArray[Any], PatternSequence], PhaseMap]
 
@@ -182,6 +184,7 @@ def decode(
     response: Response | None = None,
     keep_relative: bool = False,
     keep_evidence: bool = False,
+    drift: Drift | None = None,
 ) -> PhaseMap:
     """Decode the frames of a sequence to panel coordinates with their standard deviations.
 
@@ -225,6 +228,9 @@ def decode(
         Keep the relative phases too.
     keep_evidence : bool
         Keep the evidence too, and by which rule pixels are dropped.
+    drift : mapping of (int, axis) to (V, U) float, optional
+        By part and axis: by how much its panel coordinate is too large, px, as what is seen has
+        moved (:mod:`slbench.cloud.motion`).
 
     Returns
     -------
@@ -291,7 +297,7 @@ def decode(
     evidence: dict[int, dict[str, AnyFloatArray]] = {}
     for run in runs:
         for axis, one in run.family.decode_run(run, observed, found).items():
-            found[axis] = one
+            found[axis] = one if drift is None else _taken_back(one, run, axis, drift)
             if one.relative:
                 phases = [(n, phi.reshape(shape)) for n, phi in one.relative]
                 relative[axis] = relative.get(axis, []) + phases
@@ -319,6 +325,12 @@ def decode(
         if keep_evidence
         else None,
     )
+
+
+def _taken_back(one: Found, run: Run, axis: Axis, drift: Drift) -> Found:
+    """Return what a run has found along an axis, without the drift of its parts."""
+    off = [drift[p.index, axis].ravel() for p in run.parts if (p.index, axis) in drift]
+    return replace(one, coordinate=one.coordinate - np.mean(off, axis=0)) if off else one
 
 
 def _straightened(

@@ -16,11 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slbench.core.show.display import numbers
 from slbench.core.validation.types import NotNegative, Positive, Vector
 from slbench.core.validation.values import Value
 from slbench.rig.pose import Pose
@@ -28,6 +30,10 @@ from slbench.rig.pose import Pose
 Array = NDArray[np.float64]
 #: Where something is by its motion at a time, s: ``to_world`` takes points of time zero there.
 Moving = Callable[[float], Pose]
+
+#: Whether motion is taken out of frames: not, that which is known, or what they tell of it.
+Compensation = Literal["none", "known", "estimated"]
+COMPENSATIONS: tuple[Compensation, ...] = ("none", "known", "estimated")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +53,13 @@ class Motion(Value):
     velocity_mm_per_s: Vector = (0.0, 0.0, 0.0)
     rotation_deg_per_s: Vector = (0.0, 0.0, 0.0)
     centre_mm: Vector | None = None
+
+    def __str__(self) -> str:
+        text = f"{numbers(self.velocity_mm_per_s)} mm/s"
+        if not any(self.rotation_deg_per_s):
+            return text
+        about = "its middle" if self.centre_mm is None else f"({numbers(self.centre_mm)}) mm"
+        return f"{text}, {numbers(self.rotation_deg_per_s)} deg/s about {about}"
 
     @property
     def is_rest(self) -> bool:

@@ -399,6 +399,7 @@ def _build(
         colour=file.colour,
         rig_motion=file.rig.motion,
         detectors=_detectors(file, path),
+        compensate=file.decode.motion,
     )
 
 

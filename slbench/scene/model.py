@@ -37,7 +37,7 @@ from slbench.objects import Artefact
 from slbench.patterns import GivenPatterns, PatternSequence, PatternSource, read_patterns
 from slbench.patterns.crosstalk import UNMIXED
 from slbench.rig import Pair, Pose, Rig
-from slbench.rig.motion import FrameTiming, Motion, Moving, followed, seen_from
+from slbench.rig.motion import Compensation, FrameTiming, Motion, Moving, followed, seen_from
 from slbench.scene.calibration import Calibration, calibration_of
 from slbench.scene.colour import Colour
 from slbench.scene.environment import Environment, Radiance
@@ -292,6 +292,9 @@ class Scene(Value):
         those of the rig at the middle of the scan.
     detectors : mapping of str to DetectorModel
         Of cameras, by name, whose detectors are other ones than `detector`.
+    compensate : {"none", "known", "estimated"}
+        Whether motion is taken out of the frames before they are decoded
+        (:mod:`slbench.cloud.motion`): that which is stated, or what the frames tell of it.
     """
 
     name: str
@@ -308,6 +311,7 @@ class Scene(Value):
     colour: Colour | None = None
     rig_motion: Motion | None = None
     detectors: Mapping[str, DetectorModel] = field(default_factory=dict)
+    compensate: Compensation = "none"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -552,6 +556,31 @@ class Scene(Value):
             return seen_from(item.moved_by(time_s), rig)
 
         return path
+
+    @property
+    def common_path(self) -> Moving:
+        """The motion of all objects that move in the rig's eyes; what rests is not looked at.
+
+        Raises
+        ------
+        InputError
+            If objects move otherwise than others.
+        """
+        paths = [self.path_of(item) for item in self.objects]
+        if any(item.moves for item in self.objects):
+            paths = [self.path_of(item) for item in self.objects if item.moves]
+        # Two poses of a uniform motion tell it.
+        ends = [[path(time) for time in (-1.0, 0.5)] for path in paths]
+        alike = all(
+            np.allclose(one.rotation, other.rotation, atol=1e-9)
+            and np.allclose(one.position, other.position, atol=1e-6)
+            for own in ends[1:]
+            for one, other in zip(ends[0], own, strict=True)
+        )
+        if not alike:
+            expected = "one motion of all objects that move, to take it out"
+            raise InputError(f"scene {self.name}: decode.motion", expected, "several")
+        return paths[0]
 
     @property
     def place(self) -> Pose:

@@ -38,7 +38,7 @@ from slbench.core.validation.types import (
 )
 from slbench.patterns.given import PatternsTable
 from slbench.rig import Pose, Rig
-from slbench.rig.motion import Motion
+from slbench.rig.motion import Compensation, Motion
 from slbench.rig.optics.response import ResponseCurve
 from slbench.scene.colour import Colour
 from slbench.scene.devices.optics import CameraOptics, Optics, ProjectorOptics
@@ -332,6 +332,12 @@ class ExposureTable(Parameters):
         return shortest, tuple(one / shortest for one in self.exposures_ms)
 
 
+class DecodeTable(Parameters):
+    """``[decode]``: how frames are decoded."""
+
+    motion: Compensation = "none"
+
+
 class FocusTable(Parameters):
     """``[focus]``: settings of a focus stack, by distances or by a sweep."""
 
@@ -510,6 +516,7 @@ class SceneTables(Parameters):
     focus: FocusTable | None = None
     calibration: CalibrationTable | None = None
     colour: Colour | None = None
+    decode: DecodeTable = DecodeTable()
     render: RenderTable = RenderTable()
     preview: PreviewTable = PreviewTable()
     # What the rig design needs of the hardware (slbench.design.rig.hardware); a scan does not.

@@ -236,8 +236,11 @@ def check_motion(scene: Scene) -> None:
     Raises
     ------
     InputError
-        For a pinhole whose exposure time is not known and matters.
+        For a pinhole whose exposure time is not known and matters, and several motions of which one
+        is to be taken out.
     """
+    if scene.compensate == "known" and scene.moves:
+        _ = scene.common_path
     exposure = scene.exposure
     stated = exposure.pulse_s is not None and exposure.frame_period_s is not None
     if stated or not scene.moves:

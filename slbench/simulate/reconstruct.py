@@ -20,6 +20,7 @@ import numpy as np
 from slbench.calibration.apply import measure
 from slbench.calibration.doubts import resolution_doubt
 from slbench.calibration.models.model import CalibrationModel
+from slbench.capture.stack import FusedCapture
 from slbench.cloud.calibrated import with_calibration
 from slbench.cloud.gaps import lost_points, ray_gap, rig_doubts
 from slbench.cloud.triangulation import Axis, PointCloud, meet, triangulate
@@ -59,6 +60,26 @@ class Reconstruction:
     cloud: PointCloud
     rig: Rig
     motion: Pose | None = None
+
+
+def decoded(scene: Scene, fused: FusedCapture) -> PhaseMap:
+    """Decode the frames of a scene, its motion taken out of them where it asks for that.
+
+    Raises
+    ------
+    InputError
+        As :func:`slbench.cloud.motion.at_rest` and :func:`slbench.cloud.motion.estimated_motion`.
+    """
+    if scene.compensate == "none" or not scene.moves:
+        return fused.decode()
+    from slbench.cloud.motion import at_rest, estimated_motion  # SciPy's, for few scenes
+
+    with located(f"scene {scene.name}: decode"):
+        if scene.compensate == "known":
+            moving = scene.common_path
+        else:
+            moving = estimated_motion(fused.capture).motion.at
+        return at_rest(fused.capture, moving).decode()
 
 
 def reconstruct(scene: Scene, phase: PhaseMap, *, seed: int = 0) -> Reconstruction:

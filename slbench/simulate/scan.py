@@ -36,7 +36,7 @@ from slbench.score.points import Score
 from slbench.score.points import score as score_points
 from slbench.simulate.floors import floor_of, more_samples
 from slbench.simulate.lights import Lights
-from slbench.simulate.reconstruct import calibration_doubts, reconstruct
+from slbench.simulate.reconstruct import calibration_doubts, decoded, reconstruct
 from slbench.simulate.sharp import expected_frames
 from slbench.simulate.stack import capture_stack, check_frame_errors
 from slbench.simulate.transport import LightTransport
@@ -381,7 +381,7 @@ def scan(
             fused = stack.fuse(weights)
             fused = replace(fused, capture=replace(fused.capture, rig=rig))
         with stage("decode"):
-            phase = fused.decode()
+            phase = decoded(one, fused)
         if not truth.lit.any():
             warn_user(f"scene {scene.name}", f"no pixel is lit: {unlit(replace(scene, rig=rig))}")
         elif doubt := exposure_doubt(fused.capture, phase, truth.lit):

@@ -159,7 +159,7 @@ def scan_repeats(
         stack = capture_stack(patterned, transports, seed=own, moving=moving)
         clock.append(time.perf_counter())
         fused = stack.fuse(weights)
-        shots, phase, weighed = fused.capture, given.decode(fused), fused.weights
+        shots, phase, weighed = fused.capture, given.decode(fused, patterned), fused.weights
         clock.append(time.perf_counter())
         made = reconstruct(scene, phase, seed=own)
         cloud = made.cloud

@@ -43,7 +43,9 @@ from slbench.patterns import (
     read_patterns,
 )
 from slbench.patterns.given import object_name
+from slbench.rig.motion import COMPENSATIONS, Compensation
 from slbench.scene.model import Scene
+from slbench.simulate.reconstruct import decoded
 from slbench.simulate.stack import check_frame_errors
 
 Equal = Literal["frames", "photons"]
@@ -71,6 +73,8 @@ class PatternSet:
         Of the user's own, ``decoder(frames, sequence) -> PhaseMap``, instead of the codes'.
     response : Response, optional
         Of the projector, which the codes' decoders take out.
+    motion : {"none", "known", "estimated"}, optional
+        Whether motion is taken out of its frames; None for what the scene says.
     """
 
     name: str
@@ -80,6 +84,7 @@ class PatternSet:
     decoder: Decoder | None = None
     response: Response | None = None
     bracket: tuple[float, ...] | None = None
+    motion: Compensation | None = None
 
     __repr__ = brief
 
@@ -112,12 +117,14 @@ class PatternSet:
             light = replace(light, time_s=light.time_s * self.exposure_share)
         else:
             light = replace(light, white_level=light.white_level * self.exposure_share)
-        return replace(scene, sequence=self.sequence, exposure=light)
+        motion = scene.compensate if self.motion is None else self.motion
+        return replace(scene, sequence=self.sequence, exposure=light, compensate=motion)
 
-    def decode(self, fused: FusedCapture) -> PhaseMap:
-        """Return what the set's decoder makes of its frames."""
+    def decode(self, fused: FusedCapture, scene: Scene) -> PhaseMap:
+        """Return what the set's decoder makes of its frames of a scene with its patterns."""
         if self.decoder is None:
-            return replace(fused, capture=replace(fused.capture, response=self.response)).decode()
+            own = replace(fused, capture=replace(fused.capture, response=self.response))
+            return decoded(scene, own)
         shots = fused.capture.apart()
         return decoded_by(self.decoder, shots.frames, shots.sequence, f"set {self.name}: decoder")
 
@@ -158,7 +165,8 @@ def pattern_sets(
         As :func:`slbench.patterns.read_patterns` reads them; what is a set already stays.  Text may
         end in how it is decoded: by the user's own function, ``"1,10,50 | mine.py:decode"``, or
         with the projector's response taken out, ``"1,10,50 | gamma=2.2"`` and
-        ``"1,10,50 | response=curve.csv"``; or in the exposures of every picture, as factors of the
+        ``"1,10,50 | response=curve.csv"``, or with motion taken out, ``"1,16@4 | motion=known"``;
+        or in the exposures of every picture, as factors of the
         scene's: ``"1,10,50 | bracket=0.25/1/4"``.
     scene : Scene
         Its panel, and the axes that its own patterns code.
@@ -217,12 +225,14 @@ def _read(
 ) -> PatternSet:
     """Read a set, and how it is decoded behind a bar."""
     text, bar, behind = given.rpartition("|") if isinstance(given, str) else ("", "", "")
-    decoder, response, bracket, suffix = None, None, None, ""
+    decoder, response, bracket, motion, suffix = None, None, None, None, ""
     if bar:
         where, behind = f"set {given}", behind.strip()
         key, sign, value = (one.strip() for one in behind.partition("="))
         if sign and key == "bracket":
             bracket, suffix = _bracket(value, where), f"|bracket={''.join(value.split())}"
+        elif sign and key == "motion":
+            motion, suffix = _motion(value, where), f"|motion={value}"
         elif sign:
             response, suffix = _response(key, value, folder, where), f"|{key}={Path(value).name}"
         else:
@@ -237,8 +247,21 @@ def _read(
         allow_modules=allow_modules,
     )
     return PatternSet(
-        read.name + suffix, read.sequence, decoder=decoder, response=response, bracket=bracket
+        read.name + suffix,
+        read.sequence,
+        decoder=decoder,
+        response=response,
+        bracket=bracket,
+        motion=motion,
     )
+
+
+def _motion(value: str, where: str) -> Compensation:
+    """Return how motion is taken out by what a set states."""
+    for one in COMPENSATIONS:
+        if value == one:
+            return one
+    raise InputError(f"{where}: motion", " or ".join(COMPENSATIONS), quoted(value, COMPENSATIONS))
 
 
 def _bracket(text: str, where: str) -> tuple[float, ...]:
@@ -260,9 +283,10 @@ def _response(key: str, value: str, folder: Path | None, where: str) -> Response
             return Response.read(Path(value) if folder is None else inside(folder, value))
     if key != "gamma":
         expected = (
-            "gamma=2.2, response=curve.csv, bracket=0.25/1/4 or mine.py:decode behind the bar"
+            "gamma=2.2, response=curve.csv, bracket=0.25/1/4, motion=known or mine.py:decode "
+            "behind the bar"
         )
-        raise InputError(where, expected, quoted(key, ("bracket", "gamma", "response")))
+        raise InputError(where, expected, quoted(key, ("bracket", "gamma", "motion", "response")))
     try:
         return Response(float(value))
     except ValueError:
