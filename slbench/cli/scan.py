@@ -25,7 +25,14 @@ from slbench.cli.common import (
 )
 from slbench.cli.lazy import command
 from slbench.core.errors import InputError
-from slbench.core.validation.types import FINITE, Interval, Micrometres, Samples, Shifts
+from slbench.core.validation.types import (
+    FINITE,
+    Interval,
+    Measure,
+    Micrometres,
+    Samples,
+    Shifts,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -38,6 +45,8 @@ if TYPE_CHECKING:
 
 #: A tilt of a stage, mrad.
 StageTilt = Annotated[float, FINITE, Interval(ge=0.0, le=100.0)]
+#: Frames of an adaptive scan: two sets at least.
+MaxFrames = Annotated[int, Interval(ge=6, le=1000)]
 
 
 @command(
@@ -86,6 +95,20 @@ def scan(
     tilt_mrad: Annotated[
         StageTilt, typer.Option(help="By which they are tilted, each axis.")
     ] = 0.0,
+    adaptive: Annotated[
+        bool,
+        typer.Option(
+            "--adapt/--no-adapt", help="Choose fringes, exposures and masks by what is seen."
+        ),
+    ] = False,
+    max_frames: Annotated[
+        MaxFrames | None,
+        typer.Option(help="With --adapt: frames to take at most.  [default: 30]"),
+    ] = None,
+    want_um: Annotated[
+        Measure | None,
+        typer.Option(help="With --adapt: 95th percentile of the deviations to stop at, µm."),
+    ] = None,
     changes: SceneChanges = None,
     measured_with: MeasuredWith = None,
     align: Align = False,
@@ -93,7 +116,10 @@ def scan(
     allow_modules: AllowModules = False,
     as_json: Json = False,
 ) -> None:
-    """Measure a scene: trace, capture, decode, triangulate, score."""
+    """Measure a scene: trace, capture, decode, triangulate, score.
+
+    With --adapt the next fringes are chosen by what was seen so far, and the log says why.
+    """
     loaded = load_changed(
         scene,
         changes,
@@ -102,6 +128,27 @@ def scan(
         measured_with=measured_with,
         align=align,
     )
+    if adaptive:
+        others = {"--patterns": patterns, "--steps": steps, "--axes": axes, "--report": page}
+        others["--views"] = views
+        for name, value in others.items():
+            if value is not None:
+                raise InputError(name, "none with --adapt, which chooses columns itself", value)
+        _run_adaptive(
+            loaded,
+            out or Path("out") / f"{loaded.name}-adaptive",
+            max_frames,
+            want_um,
+            seed=seed,
+            noise=noise,
+            samples=spp,
+            score=score,
+            as_json=as_json,
+        )
+        return
+    for name, given in {"--max-frames": max_frames, "--want-um": want_um}.items():
+        if given is not None:
+            raise InputError(name, "--adapt beside it", given)
     if patterns is not None or steps is not None or axes is not None:
         loaded = loaded.with_changed_patterns(
             patterns, steps, axes, allow_modules=allow_modules, names=("--steps", "--axes")
@@ -197,6 +244,46 @@ def _scan_rig(
     print_table(result.table())
     shown = page or (folder / "summary.png" if picture else None)
     print(f"Written to {folder}" + (f": open {shown}" if shown else ""))
+
+
+def _run_adaptive(
+    scene: Scene,
+    folder: Path,
+    max_frames: int | None,
+    want_um: float | None,
+    *,
+    seed: int,
+    noise: bool,
+    samples: int | None,
+    score: bool,
+    as_json: bool,
+) -> None:
+    """Measure a scene adaptively, write what came out, and print the log."""
+    from slbench.design.adaptive.adapt import MAX_FRAMES
+    from slbench.design.adaptive.scan import ADAPTIVE_FOLDER, scan_adaptively, write_adaptive_scan
+
+    ADAPTIVE_FOLDER.check(folder, "--out")
+    with progress(as_json) as report:
+        result = scan_adaptively(
+            scene,
+            max_frames=MAX_FRAMES if max_frames is None else max_frames,
+            want_um=want_um,
+            seed=seed,
+            noise=noise,
+            samples=samples,
+            score=score,
+            on_progress=report,
+        )
+        write_adaptive_scan(result, folder)
+    if as_json:
+        print_json(result.to_dict() | {"seconds": dict(result.seconds), "out": folder})
+        return
+    for line in result.adapted.log():
+        print(line)
+    if result.score is not None:
+        for name, value in result.score.rows():
+            print(f"{name}: {value}")
+    print(f"Written to {folder}")
 
 
 def _scan_table(result: Scan) -> Table:

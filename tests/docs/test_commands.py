@@ -49,12 +49,17 @@ REDUCED = {
     "design views": "--preview --candidates 24 --samples 1000",
     "design patterns --scene": "--preview --repeats 2 --scans 2",
     "design patterns --learn": "--steps 20 --scans 2",
+    "design adaptive": "--repeats 2 --frames 12 --spp 2 --divisor 8",
     "design noise": "--preview --repeats 2 --heights 2 --max-fringes 4",
     "dataset make": "--preview --count 3 --workers 0",
 }
 
 #: Commands that run with other words.
 INSTEAD = {
+    # Two scenes of nineteen.
+    " step-block step-block-grainy plane sphere v-groove acceptance-macro acceptance-micro ambient"
+    " bowl ch6-brick ch6-gear ch6-propeller ch7-engine-block ch7-gear ch7-propeller ch7-step-block"
+    " ch8-coin-3": "",
     # No gear is among three samples.
     "kind == 'gear'": "lit_pixels > 0",
     # Three of the 18 rigs.

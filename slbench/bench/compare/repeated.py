@@ -36,7 +36,7 @@ from slbench.scene.truth import GroundTruth
 from slbench.score.features import StepScore, fit_features
 from slbench.simulate.floors import halves, noise_free_coordinates, phase_map
 from slbench.simulate.reconstruct import calibration_doubts, reconstruct
-from slbench.simulate.stack import capture_stack, moving_light
+from slbench.simulate.stack import moving_light
 from slbench.simulate.transport import LightTransport
 
 Array = NDArray[np.float64]
@@ -156,10 +156,9 @@ def scan_repeats(
     for r in range(repeats):
         clock = [time.perf_counter()]
         own = given.seed(seed, r)
-        stack = capture_stack(patterned, transports, seed=own, moving=moving)
-        clock.append(time.perf_counter())
-        fused = stack.fuse(weights)
-        shots, phase, weighed = fused.capture, given.decode(fused, patterned), fused.weights
+        found = given.measured(patterned, transports, seed=own, weights=weights, moving=moving)
+        shots, phase, weighed = found.shots, found.phase, found.weights
+        clock.append(clock[0] + found.taken_s)
         clock.append(time.perf_counter())
         made = reconstruct(scene, phase, seed=own)
         cloud = made.cloud
@@ -182,14 +181,15 @@ def scan_repeats(
             whole[at[~disordered]] = error[~disordered]
             followed.append(whole[some])
         lit_points += int(np.count_nonzero(truth.lit.ravel()[flat]))
-        if r == 0 and len(transports) == 1:
+        if r == 0 and len(transports) == 1 and shots is not None:
             few = slice(None, None, -(-len(at) // _SOME_PIXELS) or 1)
             axis, seen = given.sequence.axes[0], flat[chosen][few]
             # A pixel's millimetres, as its predicted deviation has them.
             mm_per_px = np.sqrt(variance[few]) / phase.sigma[axis].ravel()[seen]
             bound[at[few]] = mm_per_px * _bound_px(given, shots, phase, seen)
         heights.append(_steps(scene, cloud, truth, chosen))
-        exposure_s = float("nan") if shots.exposure_s is None else shots.exposure_s
+        known_s = None if shots is None else shots.exposure_s
+        exposure_s = float("nan") if known_s is None else known_s
         clock.append(time.perf_counter())
         spent = np.diff(clock)
         for name, seconds in zip(stages, spent, strict=False):

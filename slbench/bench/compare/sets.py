@@ -14,15 +14,19 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
+from slbench.capture.capture import Capture
 from slbench.capture.exposures import check_exposures
-from slbench.capture.stack import FusedCapture
+from slbench.capture.fusion import FusionWeights
+from slbench.capture.stack import FusedCapture, WeightSource
 from slbench.core.errors import InputError, located
 from slbench.core.random import tagged_seed
 from slbench.core.registry import quoted
@@ -30,6 +34,8 @@ from slbench.core.resources import inside
 from slbench.core.show.display import brief
 from slbench.core.validation.values import checked
 from slbench.core.validation.wording import shown
+from slbench.design.adaptive.adapt import MAX_FRAMES, adapt
+from slbench.design.adaptive.shots import check_adaptable
 from slbench.patterns import (
     Axis,
     Decoder,
@@ -45,10 +51,27 @@ from slbench.patterns import (
 from slbench.patterns.given import object_name
 from slbench.rig.motion import COMPENSATIONS, Compensation
 from slbench.scene.model import Scene
+from slbench.simulate.moving import MovingLight
 from slbench.simulate.reconstruct import decoded
-from slbench.simulate.stack import check_frame_errors
+from slbench.simulate.stack import capture_stack, check_frame_errors
+from slbench.simulate.transport import LightTransport
 
 Equal = Literal["frames", "photons"]
+#: Text of an adaptive set, with its frames at most.
+_ADAPTIVE = re.compile(r"adaptive(?:\s*@\s*(\d{1,6}))?")
+
+
+class Measured(NamedTuple):
+    """What one scan of a scene with a set found.
+
+    ``shots`` are the frames, None where they are not those of one sequence; ``weights`` those by
+    which a focus stack was fused; ``taken_s`` the seconds until all frames were taken.
+    """
+
+    shots: Capture | None
+    phase: PhaseMap
+    weights: FusionWeights | None
+    taken_s: float
 
 
 @dataclass(frozen=True)
@@ -105,8 +128,43 @@ class PatternSet:
 
     @property
     def light(self) -> float:
-        """Total exposure of one scan, in exposures of the scene."""
+        """Total exposure of one scan, in exposures of the scene; infinite where it is not known."""
         return self.exposures / self.times * sum(self.bracket or (1.0,))
+
+    def with_light(self, light: float) -> PatternSet:
+        """Return the set at another total exposure."""
+        return replace(self, exposure_share=light / self.light)
+
+    def measured(
+        self,
+        scene: Scene,
+        transports: Sequence[LightTransport],
+        *,
+        seed: int,
+        weights: WeightSource = "lit",
+        moving: MovingLight | None = None,
+    ) -> Measured:
+        """Return what one scan of a scene that has the set (:meth:`of`) finds."""
+        start = time.perf_counter()
+        fused = capture_stack(scene, transports, seed=seed, moving=moving).fuse(weights)
+        taken = time.perf_counter() - start
+        return Measured(fused.capture, self.decode(fused, scene), fused.weights, taken)
+
+    def check(self, scene: Scene) -> None:
+        """Refuse a set that cannot be shown or decoded, before any light is traced."""
+        panel = scene.sequence.panel
+        if self.sequence.panel != panel:
+            expected = f"patterns for the panel's {panel[0]} x {panel[1]} px"
+            raise InputError("panel", expected, "{} x {} px".format(*self.sequence.panel))
+        self.of(scene)  # exposures that it cannot have
+        if self.decoder is None:
+            self.sequence.runs()
+            if self.response is not None:
+                for part in self.sequence.parts:
+                    dark = np.zeros((part.n_frames(panel), 1), np.float32)
+                    part.straightened(dark, panel, self.response, 1.0)
+        elif not self.sequence.axes:
+            raise InputError("patterns", "a code of one axis at least", self.sequence.name)
 
     def of(self, scene: Scene) -> Scene:
         """Return the scene with these patterns and this exposure."""
@@ -134,6 +192,34 @@ class PatternSet:
         words = [int.from_bytes(digest[k : k + 4], "little") for k in range(0, 16, 4)]
         return tagged_seed(seed, *words, repeat)
 
+    def with_frames(self, frames: int) -> PatternSet:
+        """Return a set with further shifts of its finest fringe set, `frames` exposures in all.
+
+        With two coded axes the further shifts are shared between their finest sets, the first axis
+        taking the odd one.  A set without fringes keeps its frames, and its note says so.
+        """
+        sequence, missing = self.sequence, (frames - self.exposures) // self.times
+        if missing <= 0:
+            return self
+        if sequence.crosstalk is not None:
+            return replace(self, note=f"keeps its {self.exposures} colour pictures")
+        last = {axis: placed for axis in sequence.axes if (placed := sequence.finest(axis))}
+        if not last:
+            return replace(
+                self, note=f"keeps its {self.frames} frames: no fringes to shift further"
+            )
+        parts, added = list(sequence.parts), []
+        for k, (axis, placed) in enumerate(last.items()):
+            extra = math.ceil((missing - k) / len(last))
+            longer = placed.code.extended(extra)
+            if extra and longer is not None:
+                parts[placed.index] = longer
+                along = f" along {axis}" if len(last) > 1 else ""
+                count, shifts = longer.fringe_count(sequence.panel), longer.n_frames(sequence.panel)
+                added.append(f"{count:g} fringes{along} with {shifts} shifts")
+        grown = replace(sequence, parts=tuple(parts))
+        return replace(self, sequence=grown, note=", ".join(added))
+
     def tolerance_px(self, axis: Axis) -> float:
         """Return how far off a coordinate is when its order is wrong, px.
 
@@ -145,6 +231,68 @@ class PatternSet:
             return 0.5 * self.sequence.size(axis) / max(counts)
         own = [part for part in self.sequence.parts if axis in part.axes]
         return 0.0 if all(isinstance(part, GrayCode) for part in own) else 2.0
+
+
+@dataclass(frozen=True)
+class AdaptiveSet(PatternSet):
+    """Fringes that are chosen while a scene is measured (:mod:`slbench.design.adaptive`).
+
+    ``sequence`` stands for them where patterns are asked for that are known before: what light
+    alone gives is that of its finest set.
+
+    Parameters
+    ----------
+    most : int
+        Frames of one scan, at most.
+    most_light : float or None
+        Total exposure of one scan, at most, in exposures of the scene.
+    """
+
+    most: int = MAX_FRAMES
+    most_light: float | None = None
+
+    @property
+    def frames(self) -> int:
+        """Frames of one scan, at most."""
+        return self.most
+
+    @property
+    def light(self) -> float:
+        """Infinite where it is not limited: exposures are chosen too."""
+        return math.inf if self.most_light is None else self.most_light
+
+    def of(self, scene: Scene) -> Scene:
+        """Return the scene with the patterns that stand for the set's."""
+        found = replace(scene, sequence=self.sequence)
+        check_adaptable(found)
+        return found
+
+    def with_frames(self, frames: int) -> AdaptiveSet:
+        """Return the set with another budget of frames, which it uses by threes."""
+        return replace(self, most=frames, note=f"chosen by what is seen, {frames} frames at most")
+
+    def with_light(self, light: float) -> AdaptiveSet:
+        """Return the set with a budget of exposure; itself where no other set has one."""
+        return self if math.isinf(light) else replace(self, most_light=light)
+
+    def measured(
+        self,
+        scene: Scene,
+        transports: Sequence[LightTransport],
+        *,
+        seed: int,
+        weights: WeightSource = "lit",
+        moving: MovingLight | None = None,
+    ) -> Measured:
+        """Return what one adaptive scan finds."""
+        start = time.perf_counter()
+        light = transports[0]
+        found = adapt(scene, light, max_frames=self.most, max_light=self.most_light, seed=seed)
+        return Measured(None, found.phase, None, time.perf_counter() - start)
+
+    def tolerance_px(self, axis: Axis) -> float:
+        """Return two pixels: the finest set is another one in each scan and pixel."""
+        return 2.0
 
 
 @checked
@@ -167,7 +315,8 @@ def pattern_sets(
         with the projector's response taken out, ``"1,10,50 | gamma=2.2"`` and
         ``"1,10,50 | response=curve.csv"``, or with motion taken out, ``"1,16@4 | motion=known"``;
         or in the exposures of every picture, as factors of the
-        scene's: ``"1,10,50 | bracket=0.25/1/4"``.
+        scene's: ``"1,10,50 | bracket=0.25/1/4"``.  ``"adaptive"`` and
+        ``"adaptive@24"`` are fringes chosen by what is seen, with so many frames at most.
     scene : Scene
         Its panel, and the axes that its own patterns code.
     shifts : int
@@ -200,7 +349,7 @@ def pattern_sets(
         if sets[-1].bracket is None and len(scene.exposure.bracket) > 1:
             sets[-1] = replace(sets[-1], bracket=scene.exposure.bracket)
         with located(f"set {sets[-1].name}"):
-            _check(sets[-1], scene)
+            sets[-1].check(scene)
     names = [one.name for one in sets]
     for k, one in enumerate(given):
         if names.count(names[k]) > 1 and isinstance(one, str | Path):
@@ -210,10 +359,10 @@ def pattern_sets(
             raise InputError("sets", "every set once", f"{one.name} twice")
     if equal == "frames":
         longest = max(one.exposures for one in sets)
-        sets = [with_frames(one, longest) for one in sets]
+        sets = [one.with_frames(longest) for one in sets]
     elif equal == "photons":
         least = min(one.light for one in sets)
-        sets = [replace(one, exposure_share=least / one.light) for one in sets]
+        sets = [one.with_light(least) for one in sets]
     for one in sets:
         with located(f"set {one.name}"):
             check_frame_errors(one.of(scene))
@@ -239,6 +388,18 @@ def _read(
             decoder = read_decoder(behind, folder, allow_modules, f"{where}: decoder")
             suffix = f"|{object_name(behind)}"
         given = text
+    adaptive = _ADAPTIVE.fullmatch(given.strip()) if isinstance(given, str) else None
+    if adaptive:
+        if bar:
+            raise InputError(
+                f"set {given}", "adaptive fringes alone: they have their own decoder", behind
+            )
+        most = int(adaptive[1] or MAX_FRAMES)
+        if not 6 <= most <= 1000:
+            raise InputError("set adaptive", "6 to 1000 frames, such as adaptive@30", most)
+        shown = PatternSequence.parse("1,8,64", scene.sequence.panel)
+        note = f"chosen by what is seen, {most} frames at most"
+        return AdaptiveSet("".join(str(given).split()), shown, note=note, most=most)
     read = read_patterns(
         *(given, scene.sequence.panel),
         shifts=shifts,
@@ -291,47 +452,3 @@ def _response(key: str, value: str, folder: Path | None, where: str) -> Response
         return Response(float(value))
     except ValueError:
         raise InputError(f"{where}: gamma", "a number > 0", value) from None
-
-
-def _check(one: PatternSet, scene: Scene) -> None:
-    """Refuse a set that cannot be shown or decoded, before any light is traced."""
-    panel = scene.sequence.panel
-    if one.sequence.panel != panel:
-        expected = f"patterns for the panel's {panel[0]} x {panel[1]} px"
-        raise InputError("panel", expected, "{} x {} px".format(*one.sequence.panel))
-    one.of(scene)  # exposures that it cannot have
-    if one.decoder is None:
-        one.sequence.runs()
-        if one.response is not None:
-            for part in one.sequence.parts:
-                dark = np.zeros((part.n_frames(panel), 1), np.float32)
-                part.straightened(dark, panel, one.response, 1.0)
-    elif not one.sequence.axes:
-        raise InputError("patterns", "a code of one axis at least", one.sequence.name)
-
-
-def with_frames(given: PatternSet, frames: int) -> PatternSet:
-    """Return a set with further shifts of its finest fringe set, `frames` exposures in all.
-
-    With two coded axes the further shifts are shared between their finest sets, the first axis
-    taking the odd one.  A set without fringes keeps its frames, and its note says so.
-    """
-    sequence, missing = given.sequence, (frames - given.exposures) // given.times
-    if missing <= 0:
-        return given
-    if sequence.crosstalk is not None:
-        return replace(given, note=f"keeps its {given.exposures} colour pictures")
-    last = {axis: placed for axis in sequence.axes if (placed := sequence.finest(axis))}
-    if not last:
-        return replace(given, note=f"keeps its {given.frames} frames: no fringes to shift further")
-    parts, added = list(sequence.parts), []
-    for k, (axis, placed) in enumerate(last.items()):
-        extra = math.ceil((missing - k) / len(last))
-        longer = placed.code.extended(extra)
-        if extra and longer is not None:
-            parts[placed.index] = longer
-            along = f" along {axis}" if len(last) > 1 else ""
-            count, shifts = longer.fringe_count(sequence.panel), longer.n_frames(sequence.panel)
-            added.append(f"{count:g} fringes{along} with {shifts} shifts")
-    grown = replace(sequence, parts=tuple(parts))
-    return replace(given, sequence=grown, note=", ".join(added))

@@ -14,6 +14,7 @@ group = Group(
         "Views": {"views": "slbench.cli.design.views:views"},
         "Patterns": {
             "patterns": "slbench.cli.design.patterns:patterns",
+            "adaptive": "slbench.cli.design.adaptive:adaptive",
             "noise": "slbench.cli.design.noise:noise",
         },
     },
