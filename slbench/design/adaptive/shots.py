@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from slbench.core.errors import InputError
 from slbench.core.random import tagged_seed
 from slbench.core.show.display import brief
+from slbench.core.validation.types import Share
 from slbench.patterns import MIN_MODULATION_DN, Fringes, NoiseModel, PatternSequence
 from slbench.patterns.base import FloatArray
 from slbench.scene.model import Scene
@@ -34,7 +35,7 @@ class DimmedFringes(Fringes):
     """
 
     kind: ClassVar[str] = "fringes"
-    mask: tuple[float, ...] = ()
+    mask: tuple[Share, ...] = ()
 
     def profile(self, k: int, size: int) -> FloatArray:
         """Return frame `k` on a panel of `size` pixels, shape (size,), in [0, 1]."""

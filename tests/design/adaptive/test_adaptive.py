@@ -128,7 +128,9 @@ def test_stated_deviations_are_right_over_many_draws():
     # 7,000 numbers: an RMS to 0.9 %.  What a dimmed panel rounds is stated for a pixel of one
     # column and any phase, which makes deviations of repeated sets up to a twentieth too large.
     assert 0.92 < np.sqrt(np.mean(z**2)) < 1.03
-    assert np.mean(z) == pytest.approx(0.0, abs=4 / np.sqrt(z.size))
+    # That rounding is the same in every scan: half a deviation, of 80 dimmed columns, is 0.06 of
+    # the mean; three times as much.
+    assert np.mean(z) == pytest.approx(0.0, abs=0.18)
     # A Gaussian has six of 100,000 beyond four; wrong orders would be far more.
     assert np.mean(np.abs(z) > 4.5) < 5e-4
     assert np.mean(held) > 0.95
