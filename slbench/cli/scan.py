@@ -146,9 +146,9 @@ def scan(
             as_json=as_json,
         )
         return
-    for name, given in {"--max-frames": max_frames, "--want-um": want_um}.items():
-        if given is not None:
-            raise InputError(name, "--adapt beside it", given)
+    for name, budget in {"--max-frames": max_frames, "--want-um": want_um}.items():
+        if budget is not None:
+            raise InputError(name, "--adapt beside it", budget)
     if patterns is not None or steps is not None or axes is not None:
         loaded = loaded.with_changed_patterns(
             patterns, steps, axes, allow_modules=allow_modules, names=("--steps", "--axes")

@@ -21,6 +21,7 @@ from slbench.core.validation.types import Percentile, Samples
 from slbench.core.validation.values import checked
 from slbench.datasets.manifest import Manifest
 from slbench.datasets.read.recipe import Recipe
+from slbench.design.adaptive.shots import DimmedFringes
 from slbench.design.rig.hardware import Sweep, load_hardware
 from slbench.detector.emva1288 import Detector
 from slbench.objects import load_artefact
@@ -59,7 +60,7 @@ MANIFEST = Manifest(
 )
 
 #: One of each family of codes: that of its first word, or of what needs files.
-CODES = [Fringes(1), Images(np.zeros((3, 48, 64), np.uint8), "u")]
+CODES = [Fringes(1), DimmedFringes(1), Images(np.zeros((3, 48, 64), np.uint8), "u")]
 CODES += [
     next(code[0] for word in family.words if (code := family.read_word(word, "u", 4)))
     for family in (pattern_codes.get(kind) for kind in pattern_codes)
