@@ -34,6 +34,9 @@ from slbench.score.residuals import trimmed_range
 Array = NDArray[np.float64]
 #: Parts of the uncertainty that each measurement has anew.
 _OF_ITS_OWN = ("temperature", "fit", "sampling")
+#: Variance of ``|x|`` for a normal ``x`` of variance 1.  A range has kinks where its extreme points
+#: change: ``a x + b |x|`` has the variance ``a^2 + (1 - 2 / pi) b^2``.
+_OF_KINKS = 1.0 - 2.0 / math.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,10 +165,11 @@ class Measured:
         fit = _fit_deviations(standard, self.fits)
         squares = dict.fromkeys(errors, 0.0)
         for one in draws:
-            for sign in (0.5, -0.5):  # a range has a kink where its extreme points change
-                off = self.errors([sign * d for d in one])
-                for name in errors:
-                    squares[name] += 2.0 * (off[name] - errors[name]) ** 2
+            above, below = (self.errors([sign * d for d in one]) for sign in (0.5, -0.5))
+            for name, error in errors.items():
+                odd = above[name] - below[name]
+                even = above[name] + below[name] - 2.0 * error
+                squares[name] += odd**2 + _OF_KINKS * even**2
         found = []
         for name, error in errors.items():
             size = certified(TESTS[name], standard)

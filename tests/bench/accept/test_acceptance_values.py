@@ -120,6 +120,25 @@ def test_stated_uncertainties_are_the_deviations_of_repeats() -> None:
             assert stated == pytest.approx(spread, rel=4.0 * 0.035 + 0.05), values[0].test
 
 
+def test_calibrations_scatter_of_a_range_is_that_of_its_draws() -> None:
+    """A flat plate bends by ``b x`` with a calibration's error x: its range is ``b |x|``."""
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(-20.0, 20.0, (2, 2000))
+    bend = np.column_stack((0.0 * x, 0.0 * x, 1e-3 * (x / 20.0) ** 2))
+    flat = np.column_stack((x, y, 0.0 * x))
+    (flatness, _) = measured_place(Place("plate", PLATE), [[Points(flat)]]).values([[bend]])
+    drawn = [
+        measured_place(Place("plate", PLATE), [[Points(flat + t * bend)]]).errors()["flatness"]
+        for t in rng.standard_normal(400)
+    ]
+    # Of 400 draws a deviation is known to 3.5 %, times three.
+    assert flatness.u_calibration_mm == pytest.approx(np.std(drawn), rel=0.11)
+    bent = Points(flat + 3.0 * bend)  # where the range is linear: b itself
+    (flatness, _) = measured_place(Place("plate", PLATE), [[bent]]).values([[bend]])
+    # Its own normals differ from the flat plate's by 1e-4; points at the ends count one by one.
+    assert flatness.u_calibration_mm == pytest.approx(flatness.error_mm / 3.0, rel=1e-3)
+
+
 def test_without_predicted_noise_the_scatter_tells_the_uncertainty() -> None:
     """The same by residuals, whose own deviation is known to 3 % from 600 points."""
     rng = np.random.default_rng(4)
