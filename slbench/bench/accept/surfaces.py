@@ -34,7 +34,6 @@ Array = NDArray[np.float64]
 #: Draws of noise that a form's deviation is taken from, least and most: known to 5 and 1.8 %; and
 #: numbers that are drawn for one.
 _DRAWS, _NUMBERS = (200, 1500), 3_000_000
-_SEED = 20_634
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +243,8 @@ class Fit:
         level = float(np.sqrt(np.mean(noise[self.inliers] ** 2)))
         kept = np.sqrt(max(0.0, 1.0 - (level / spread) ** 2)) if spread > 0.0 else 0.0
         still = np.where(self.inliers, kept, 1.0) * self.residuals
-        rng = np.random.default_rng(_SEED)
+        # Seeded by what was measured: draws that all places share would be off to one side.
+        rng = np.random.default_rng(np.frombuffer(self.residuals[:4].tobytes(), np.uint32))
         draws = np.empty((int(np.clip(_NUMBERS // len(noise), *_DRAWS)), 2))
         for k in range(len(draws)):
             drawn = still + noise * rng.standard_normal(len(noise))
