@@ -135,7 +135,9 @@ class ScanScores:
     floor_rms_px: float
     monte_carlo_rms_px: float
     fusion: FusionScore | None
-    sampling_px: Mapping[Axis, NDArray[np.float64]] = field(default_factory=dict, repr=False)
+    sampling_px: Mapping[Axis, NDArray[np.float64]] = field(
+        default_factory=dict, repr=False, compare=False
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
