@@ -129,8 +129,15 @@ def scan(
         align=align,
     )
     if adaptive:
-        others = {"--patterns": patterns, "--steps": steps, "--axes": axes, "--report": page}
-        others["--views"] = views
+        others: dict[str, object] = {
+            "--patterns": patterns,
+            "--steps": steps,
+            "--axes": axes,
+            "--report": page,
+            "--views": views,
+            "--stage-um": stage_um or None,
+            "--tilt-mrad": tilt_mrad or None,
+        }
         for name, value in others.items():
             if value is not None:
                 raise InputError(name, "none with --adapt, which chooses columns itself", value)

@@ -306,6 +306,7 @@ def decode_capture(
         the rays of the rig do not meet; :attr:`Decoded.warnings` has the same sentences.
     """
     resting, moved = None, ""
+    rounding = capture.least_noise  # of the frames as they were taken
     if motion is not None:
         if decoder is not None:
             raise InputError("motion", "none beside a decoder of one's own", "one")
@@ -322,13 +323,15 @@ def decode_capture(
             **options,
         )
 
-    noise = capture.least_noise
+    noise = rounding
     kind: NoiseKind = "decoder"
     if decoder is not None:
         phase = _decoded_by(decoder, capture)
     else:
-        phase = decoded_with(capture.least_noise)
+        phase = decoded_with(rounding)
         noise, kind = noise_of(capture, phase)
+        if kind == "lower bound":
+            noise = rounding
     exposure = exposure_doubt(capture, phase)
     doubts = [exposure] if exposure else []
     if not exposure and decoder is None:

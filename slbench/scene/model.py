@@ -566,18 +566,19 @@ class Scene(Value):
         InputError
             If objects move otherwise than others.
         """
-        paths = [self.path_of(item) for item in self.objects]
-        if any(item.moves for item in self.objects):
-            paths = [self.path_of(item) for item in self.objects if item.moves]
-        # Two poses of a uniform motion tell it.
-        ends = [[path(time) for time in (-1.0, 0.5)] for path in paths]
-        alike = all(
-            np.allclose(one.rotation, other.rotation, atol=1e-9)
-            and np.allclose(one.position, other.position, atol=1e-6)
-            for own in ends[1:]
-            for one, other in zip(ends[0], own, strict=True)
-        )
-        if not alike:
+
+        def alike(path: Moving, other: Moving) -> bool:
+            # Two poses of a uniform motion tell it.
+            ends = [(path(time), other(time)) for time in (-1.0, 0.5)]
+            return all(
+                np.allclose(one.rotation, two.rotation, atol=1e-9)
+                and np.allclose(one.position, two.position, atol=1e-6)
+                for one, two in ends
+            )
+
+        every = [self.path_of(item) for item in self.objects]
+        paths = [path for path in every if not alike(path, lambda time_s: Pose())] or every
+        if not all(alike(paths[0], path) for path in paths[1:]):
             expected = "one motion of all objects that move, to take it out"
             raise InputError(f"scene {self.name}: decode.motion", expected, "several")
         return paths[0]

@@ -55,7 +55,7 @@ def all_in_focus(
     middle = _middle(stack)
     shutter = stack_shutter(stack, transport, detector, exposure)
     rig = _rig(middle).all_in_focus()
-    faultless = exposure.without_frame_errors()
+    faultless = exposure.without_frame_errors().single()  # the stack's own time holds a factor
     return capture(
         transport, middle.sequence, rig, detector, faultless, noise=False, shutter=shutter
     )

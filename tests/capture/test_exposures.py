@@ -329,6 +329,10 @@ def test_frames_and_light_of_sets_count_every_exposure():
     # A scene's own exposures are those of all sets that state none.
     bracketed = replace(scene, exposure=replace(scene.exposure, bracket=(1.0, 4.0)))
     assert [one.frames for one in pattern_sets(texts, bracketed)] == [16, 24]
+    one = replace(scene, exposure=replace(scene.exposure, bracket=(2.5,)))
+    alike = pattern_sets(["1,8@4", "1,8@4 | bracket=1/4"], one, equal="photons")
+    light = [a.exposure_share * sum(a.of(one).exposure.bracket) * 8 for a in alike]
+    assert light[0] == pytest.approx(light[1])
     # What is left of the frames and does not do for a shift at both exposures is not used.
     odd = pattern_sets(["1,8@4 | bracket=1/4", "1,8@4,16@11"], scene, equal="frames")
     assert [one.frames for one in odd] == [18, 19]

@@ -34,7 +34,7 @@ from slbench.core.resources import inside
 from slbench.core.show.display import brief
 from slbench.core.validation.values import checked
 from slbench.core.validation.wording import shown
-from slbench.design.adaptive.adapt import MAX_FRAMES, adapt
+from slbench.design.adaptive.adapt import MAX_FRAMES, MOST_FRAMES, adapt
 from slbench.design.adaptive.shots import check_adaptable
 from slbench.patterns import (
     Axis,
@@ -268,7 +268,16 @@ class AdaptiveSet(PatternSet):
         return found
 
     def with_frames(self, frames: int) -> AdaptiveSet:
-        """Return the set with another budget of frames, which it uses by threes."""
+        """Return the set with another budget of frames, which it uses by threes.
+
+        Raises
+        ------
+        InputError
+            For more than an adaptive scan may have.
+        """
+        if frames > MOST_FRAMES:
+            expected = f"sets of at most {MOST_FRAMES} frames beside it (--equal frames)"
+            raise InputError(f"set {self.name}", expected, frames)
         return replace(self, most=frames, note=f"chosen by what is seen, {frames} frames at most")
 
     def with_light(self, light: float) -> AdaptiveSet:
@@ -346,7 +355,7 @@ def pattern_sets(
             sets.append(one)
         else:
             sets.append(_read(one, scene, shifts, folder, allow_modules))
-        if sets[-1].bracket is None and len(scene.exposure.bracket) > 1:
+        if sets[-1].bracket is None and scene.exposure.bracket != (1.0,):
             sets[-1] = replace(sets[-1], bracket=scene.exposure.bracket)
         with located(f"set {sets[-1].name}"):
             sets[-1].check(scene)

@@ -130,6 +130,7 @@ def check_compensation(capture: Capture) -> None:
     InputError
         As :func:`at_rest`.
     """
+    capture.one_exposure("motion")
     if capture.rig is None:
         raise InputError("motion", "a rig, by which points are followed", "none")
     if capture.timing is None:

@@ -40,8 +40,9 @@ FIRST = {1: "what is lit, and where it is"}
 _NO_GAIN = 0.01
 #: Deviation of a coordinate, of the fringes that most pixels have, beyond which it is none.
 _RESOLVED = 0.125
-
-Frames = Annotated[int, Interval(ge=2 * SHIFTS, le=1000)]
+#: Frames that a budget may have.
+MOST_FRAMES = 1000
+Frames = Annotated[int, Interval(ge=2 * SHIFTS, le=MOST_FRAMES)]
 
 
 @dataclass(frozen=True, kw_only=True)

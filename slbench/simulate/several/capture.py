@@ -179,7 +179,8 @@ def _at_once(
         for indices, seen in radiance_batches(transport, scene.sequence, scene.rig.projector):
             radiance[order[indices]] += seen - transport.ambient
     with lighting(first):
-        factor, exposure_s = shutter_for(_Sum(light), camera, detector, exposure)
+        base = shutter_for(_Sum(light), camera, detector, exposure)
+    factor, exposure_s = base.times(*exposure.bracket)
     if noise and exposure.vibration_px > 0:
         shape = (sequence.n_frames, 2)
         moves = generator(seed, Word.VIBRATION).normal(0.0, exposure.vibration_px, shape)

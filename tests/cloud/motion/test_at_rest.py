@@ -7,6 +7,8 @@ import pytest
 from scipy import ndimage
 
 from slbench.capture.capture import Capture
+from slbench.capture.exposures import Bracket
+from slbench.cloud.decoded import decode_capture
 from slbench.cloud.motion import at_rest
 from slbench.cloud.triangulation import triangulate
 from slbench.core.errors import InputError
@@ -75,11 +77,7 @@ def test_closed_form_is_that_of_frames_and_has_its_small_amplitude(count):
 def test_error_of_uniform_motion_follows_the_closed_form(count):
     # Along the camera's axis, near which a pixel sees points of one ray; the phase drifts evenly
     # there to some 1 % within the set.
-    scene = (
-        scene_of(patterns=f"16@{count}", **{"patterns.unwrap": ""})
-        if False
-        else scene_of(patterns=f"1,16@{count}")
-    )
+    scene = scene_of(patterns=f"1,16@{count}")
     axis, rig = scene.rig.camera.pose.rotation[:, 2], scene.rig
     light, true = traced(scene, seed=1), Lights(1).truth(scene)
     v, u = np.nonzero(true.smooth())
@@ -184,6 +182,34 @@ def test_frames_of_what_rests_stay_and_their_deviations_are_those_of_noise():
     np.testing.assert_allclose(phase.sigma["u"][both], plain.sigma["u"][both], rtol=1e-3)
 
 
+def test_frames_of_unknown_noise_keep_their_rounding():
+    """Its steps are those of the frames as they were taken, not of what they became."""
+    scene = scene_of(patterns="1,16@3", **{"detector.bit_depth": 8})
+    shots = shot(scene, traced(scene, seed=1))
+    timed = replace(shots, noise=None, timing=FrameTiming(period_s=PERIOD))
+    plain, found = decode_capture(timed), decode_capture(timed, motion=Motion())
+    assert found.noise == plain.noise
+    both = plain.phase.mask & found.phase.mask
+    sigma = [one.phase.sigma["u"][both] for one in (plain, found)]
+    assert sigma[0].min() > 0.0
+    # Modulations are those of frames that were looked up and back, in single precision.
+    np.testing.assert_allclose(sigma[1], sigma[0], rtol=1e-2)
+
+
+def test_what_rests_before_a_rig_that_moves_is_not_looked_at():
+    rig = Motion(velocity_mm_per_s=(0.0, 50.0, 0.0))
+    two = load_scene("v-groove", preview=True)
+    first, second = two.objects
+    with_rig = replace(two, rig_motion=rig, objects=(replace(first, motion=rig), second))
+    # The second passes the other way, and the first not at all.
+    expected = with_rig.path_of(second)(0.5)
+    assert expected.position[1] == pytest.approx(-25.0)
+    np.testing.assert_allclose(with_rig.common_path(0.5).position, expected.position, atol=1e-12)
+    other = replace(first, motion=Motion(velocity_mm_per_s=(0.0, 20.0, 0.0)))
+    with pytest.raises(InputError, match="several"):
+        _ = replace(with_rig, objects=(other, second)).common_path
+
+
 def test_saturated_pixels_stay_so():
     scene = scene_of(**{"exposure.white_level": 0.8})
     motion = Motion(velocity_mm_per_s=(0.0, 0.0, 20.0))
@@ -209,6 +235,9 @@ def test_what_cannot_be_followed_is_refused():
     timed = replace(shots, timing=FrameTiming(period_s=0.1))
     with pytest.raises(InputError, match="response: expected a linear projector"):
         at_rest(replace(timed, response=Response(2.2)), Motion().at)
+    several = Bracket.of(np.stack([timed.frames] * 2), (0.01, 0.02), 1e9)
+    with pytest.raises(InputError, match="motion: expected a capture of one exposure"):
+        at_rest(replace(timed, bracket=several), Motion().at)
     dark = replace(timed, frames=np.zeros_like(timed.frames))
     with pytest.raises(InputError, match="motion: expected points to follow"):
         at_rest(dark, Motion().at)
