@@ -28,7 +28,7 @@ own.  So :meth:`Captures.save` writes them: every folder is a whole capture too.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -183,16 +183,7 @@ class Captures:
             For names that cannot be parts of a folder's.
         """
         root = Path(folder)
-        names = {pair: pair_name(pair) for pair in self.captures}
-        for pair in names:
-            for device in pair:
-                if not _NAME.fullmatch(device):
-                    expected = "names of letters, digits, _ and -"
-                    raise InputError("rig devices", expected, repr(device))
-        if len(set(names.values())) != len(names):
-            raise InputError(
-                "rig devices", "other names: two pairs are alike", ", ".join(names.values())
-            )
+        names = folder_names(self.captures)
         for pair, capture in self.captures.items():
             capture.write_into(root / names[pair])
         manifest: dict[str, Any] = {"format": _FORMAT}
@@ -289,6 +280,24 @@ def holds_pairs(folder: str | Path) -> bool:
 def pair_name(pair: Pair) -> str:
     """Return how a pair is called, by people and as a folder: ``left-main``."""
     return "-".join(pair)
+
+
+def folder_names(pairs: Iterable[Pair]) -> dict[Pair, str]:
+    """Return how pairs are called as folders.
+
+    Raises
+    ------
+    InputError
+        For names that cannot be parts of a folder's, and pairs that are called alike.
+    """
+    names = {pair: pair_name(pair) for pair in pairs}
+    for device in (one for pair in names for one in pair):
+        if not _NAME.fullmatch(device):
+            raise InputError("rig devices", "names of letters, digits, _ and -", repr(device))
+    if len(set(names.values())) != len(names):
+        expected = "other names: two pairs are alike"
+        raise InputError("rig devices", expected, ", ".join(names.values()))
+    return names
 
 
 def check_known(pair: Pair, rig: Rig) -> None:

@@ -197,6 +197,8 @@ class JointCloud(PointCloud):
         InputError
             For images of several cameras: :meth:`with_own` takes those.
         """
+        if len(self.shapes) > 1 and any(np.ndim(one) for one in steady_px.values()):
+            raise InputError("steady_px", "numbers, or with_own", "images of several cameras")
         return self.with_own(dict.fromkeys(self.pairs, steady_px))
 
     def with_own(self, steady_px: Mapping[Pair, Mapping[Axis, ArrayLike]]) -> JointCloud:

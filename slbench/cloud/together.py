@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from slbench.capture.captures import Captures, pair_name
+from slbench.capture.captures import Captures, folder_names, pair_name
 from slbench.cloud.decoded import Decoded, decode_capture, grey_image
 from slbench.cloud.joint import JointCloud, triangulate_jointly
 from slbench.core.errors import InputError, located, warn_user
@@ -115,7 +115,7 @@ class DecodedRig:
             if pair in self.decoded:
                 own = grey_image(self.decoded[pair].capture, self.decoded[pair].phase)
             else:
-                own = np.mean(capture.frames, axis=0)
+                own = np.mean([capture.evened(frame) for frame in capture.frames], axis=0)
             found.setdefault(pair.camera, own)
         return found
 
@@ -153,7 +153,7 @@ class DecodedRig:
 
 def folder_for(captures: Captures) -> OutputFolder:
     """Return the kind of folder that decoded captures are written to."""
-    return OutputFolder("decoded captures", (*_ENTRIES, *map(pair_name, captures)))
+    return OutputFolder("decoded captures", (*_ENTRIES, *folder_names(captures).values()))
 
 
 def decode_captures(
@@ -200,10 +200,20 @@ def decode_captures(
     if depth_mm is not None and stereo != "blocks":
         raise InputError("depth_mm", "none where no blocks are matched", depth_mm)
     if stereo == "blocks":
+        for name, value in (
+            ("min_modulation", min_modulation),
+            ("max_order_residual", max_order_residual),
+            ("decoder", decoder),
+        ):
+            if value is not None:
+                raise InputError(name, "none where blocks are matched: nothing is decoded", value)
         from slbench.cloud.blocks import match_blocks
 
         assert rig is not None  # checked
-        frames = {pair.camera: one.frames for pair, one in captures.captures.items()}
+        frames = {
+            pair.camera: np.stack([one.evened(frame) for frame in one.frames])
+            for pair, one in captures.captures.items()
+        }
         return DecodedRig(captures, {}, match_blocks(rig, frames, depth_mm), "blocks")
     decoded = {}
     for pair, capture in captures.captures.items():

@@ -106,6 +106,12 @@ def test_blocks_of_grey_values_need_no_codes(tmp_path):
         ),
         ([], {"pairs": [{"camera": "top", "frames": "left/*.png"}]}, "camera of the rig: left, ri"),
         (["--rig", "missing.yaml"], {}, "missing.yaml"),
+        (["--stereo", "blocks", "--min-modulation", "5"], {}, "none where blocks are matched"),
+        (
+            [],
+            {"rig": None, "pairs": [{"camera": "../../zz", "frames": "left/*.png"}]},
+            "rig devices: expected names of letters, digits, _ and -, got '../../zz'",
+        ),
     ],
 )
 def test_what_is_wrong_is_one_line(folder, options, changes, expected, tmp_path):

@@ -164,7 +164,8 @@ def _hardware(
     from slbench.design.rig.hardware import load_hardware
     from slbench.scene.changes import read_changes
 
-    bodies = all(content.get(name, {}).get("body_mm") for name in ("camera", "projector"))
+    devices = (content.get(name, {}) for name in ("camera", "projector"))
+    bodies = all(one.get("body_mm") or one.get("barrel_mm") for one in devices)
     if "design" not in content or not bodies:
         return None
     made = read_changes(changes or (), "--set")

@@ -160,10 +160,11 @@ def _directions(staging: Staging, count: int, scene: Scene) -> list[tuple[Pose, 
         up = 1.0 - (1.0 - least) * (k + 0.5) / many
         azimuth = k * _GOLDEN
         elevation = np.arcsin(up)
-        # Turned about the table's z until the direction is towards -y, then leant back.
+        # Turned about the table's z until the opposite direction is towards +y, then leant to +z.
         leant = _about_x(0.5 * np.pi - elevation) @ _about_z(-0.5 * np.pi - azimuth)
         words = (
-            f"azimuth {np.rad2deg(azimuth) % 360.0:.4g}°, elevation {np.rad2deg(elevation):.4g}°"
+            f"azimuth {np.rad2deg(azimuth + np.pi) % 360.0:.4g}°, "
+            f"elevation {np.rad2deg(elevation):.4g}°"
         )
         found += [
             (Pose(_about_z(np.deg2rad(roll)) @ leant, np.zeros(3)), f"{words}, roll {roll:g}°")

@@ -1,12 +1,14 @@
 """Whether a view can be taken up: bodies of devices clear of the part and of the table.
 
-A body is a box behind its lens.  It meets a triangle unless one of the 13 axes of the separating
-axis theorem parts them (T. Akenine-Möller, "Fast 3D triangle-box overlap testing", J. Graphics
-Tools 6(1), 2001); a body all inside the part is found by the winding number of its middle (A. Van
-Oosterom and J. Strackee, IEEE Trans. Biomed. Eng. 30(2), 1983).
+A body is a box behind its lens, or one about each part of a barrel.  It meets a triangle unless one
+of the 13 axes of the separating axis theorem parts them (T. Akenine-Möller, "Fast 3D triangle-box
+overlap testing", J. Graphics Tools 6(1), 2001); a body all inside the part is found by the winding
+number of its middle (A. Van Oosterom and J. Strackee, IEEE Trans. Biomed. Eng. 30(2), 1983).
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,15 +53,14 @@ class Clearance:
                     points = np.vstack((points, self._rig.devices[name].body_corners))
                 if candidate.table.to_local(points)[:, 2].min() <= 0.0:
                     return f"{name} below the table"
-            if device.body_mm is not None and self._meets(device):
+            if any(self._meets(device, *box) for box in _boxes(device)):
                 return f"{name} meets the part"
         return None
 
-    def _meets(self, device: Device) -> bool:
-        """Return whether a device's body meets the part, in whose frame it is posed."""
-        assert device.body_mm is not None
-        half = 0.5 * np.array(device.body_mm) + self._clearance
-        middle = device.pose.to_world(np.array([0.0, 0.0, -0.5 * device.body_mm[2]]))
+    def _meets(self, device: Device, size: Array, behind: float) -> bool:
+        """Return whether a box so far behind a lens meets the part, in whose frame it is posed."""
+        half = 0.5 * size + self._clearance
+        middle = device.pose.to_world(np.array([0.0, 0.0, -behind - 0.5 * size[2]]))
         if np.linalg.norm(middle - self._middle) > self._radius + np.linalg.norm(half):
             return False
         corners = (self._mesh.vertices - middle) @ device.pose.rotation
@@ -69,6 +70,19 @@ class Clearance:
         if len(close) and meets_box(triangles[close], half).any():
             return True
         return winding_number(triangles) > 0.5
+
+
+def _boxes(device: Device) -> list[tuple[Array, float]]:
+    """Return boxes that hold a device's body: their sizes, and how far behind the lens each begins.
+
+    A part of a barrel is taken for the box about it.
+    """
+    if device.barrel_mm is None:
+        return [] if device.body_mm is None else [(np.array(device.body_mm), 0.0)]
+    return [
+        (np.array([2.0 * max(r, s), 2.0 * max(r, s), b - a]), a)
+        for (a, r), (b, s) in pairwise(device.barrel_mm)
+    ]
 
 
 def meets_box(triangles: Array, half: Array) -> NDArray[np.bool_]:

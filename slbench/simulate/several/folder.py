@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from slbench.capture.capture import MANIFEST
-from slbench.capture.captures import RIG, pair_name
+from slbench.capture.captures import RIG, folder_names, pair_name
 from slbench.cloud.decoded import grey_image
 from slbench.core.errors import warn_user
 from slbench.core.io import OutputFolder, write_json, write_ply
@@ -18,7 +18,7 @@ from slbench.simulate.several.scan import RigScan
 
 def _folder(scene: Scene) -> OutputFolder:
     """Return what such a scan writes: of each pair a folder, and of all of them together."""
-    names = map(pair_name, scene.rig.pairs)
+    names = folder_names(scene.rig.pairs).values()
     return OutputFolder("scan", (MANIFEST, RIG, *names, "cloud.ply", "score.json", "summary.png"))
 
 

@@ -43,9 +43,18 @@ def at(pose, stands=False, table=None):
     return Candidate(pose, -1, "", table or Pose(), stands)
 
 
-def test_a_part_at_a_body_is_refused():
+@pytest.mark.parametrize(
+    "body",
+    [
+        {"body_mm": (50.0, 50.0, 80.0)},
+        {"barrel_mm": ((0.0, 25.0), (20.0, 25.0), (80.0, 10.0))},
+        # A barrel takes the place of a body.
+        {"body_mm": (500.0, 500.0, 500.0), "barrel_mm": ((0.0, 25.0), (80.0, 25.0))},
+    ],
+)
+def test_a_part_at_a_body_is_refused(body):
     scene = above(part_scene(l_block()), (300.0, 0.0, 500.0))
-    camera = replace(scene.rig.camera, body_mm=(50.0, 50.0, 80.0))
+    camera = replace(scene.rig.camera, **body)
     rig = scene.rig.having(camera=camera)
     clear = Clearance(rig, l_block().mesh, 5.0, False)
     assert clear.reason(at(Pose())) is None

@@ -1,6 +1,7 @@
 """Whole plans: candidates, choices on ten parts, and coverage against scans."""
 
 import itertools
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -67,6 +68,11 @@ def test_a_robot_looks_from_all_over_a_hemisphere():
     # Even by area: heights are, and directions leave no gap of twice their spacing.
     heights = np.sort(eyes[::2, 2])
     assert np.allclose(np.diff(heights), np.diff(heights)[0], atol=1e-9)
+    said = [re.search(r"azimuth (\S+)°, elevation (\S+)°", one.description) for one in found]
+    azimuth, elevation = np.deg2rad([[float(n) for n in one.groups()] for one in said if one]).T
+    around = np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation)
+    # Words have four digits.
+    np.testing.assert_allclose(eyes, np.stack((*around, np.sin(elevation)), axis=1), atol=2e-3)
     nearest = np.sort(np.arccos(np.clip(eyes[::2] @ eyes[::2].T, -1, 1)), axis=1)[:, 1]
     assert nearest.max() < 2.0 * np.median(nearest)
 
