@@ -33,7 +33,7 @@ def adaptive(
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
-    """Tell how many frames adaptive fringes need, beside the best fixed set."""
+    """Count the frames adaptive fringes need, beside a fixed set."""
     from slbench.bench.compare.frames_needed import (
         FRAMES_FOLDER,
         frames_needed,

@@ -121,8 +121,9 @@ def scene_of(design: RigDesign, content: dict[str, Any], member: int) -> dict[st
     scene["rig"] = dict(zip(VARIABLES, (float(v) for v in values[:6]), strict=True))
     scene["rig"]["volume_mm"] = list(volume)
     for role, keys in stated_optics(hardware, row).items():
-        merged = {**scene[role], **keys}
-        scene[role] = {key: value for key, value in merged.items() if value is not None}
+        if keys:
+            merged = {**scene[role], **keys}
+            scene[role] = {key: value for key, value in merged.items() if value is not None}
     if hardware.sweep is not None:
         # Of each setting the distances, which hold a shift of the focus as well.
         focus = hardware.settings(row).distances_mm
