@@ -15,7 +15,6 @@ alone.  Temporal terms come from the generator that the caller gives, one child 
 frame, so that frames are exposed in parallel and yet the same seed gives the same bytes.
 """
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
@@ -28,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from slbench.core.errors import InputError
 from slbench.core.philox import BLOCK, normal_block, work_space
 from slbench.core.random import generator
+from slbench.core.threads import thread_count
 from slbench.core.validation.types import (
     FINITE,
     BitDepth,
@@ -265,8 +265,13 @@ class Detector(Value, DetectorModel):
             else:
                 out[k] = np.rint(self.expected_dn(frames[k] * scale, exposure_s))
 
-        with ThreadPoolExecutor(min(len(frames), os.cpu_count() or 1)) as pool:
-            list(pool.map(expose_frame, range(len(frames))))  # releases the interpreter lock
+        workers = min(len(frames), thread_count())
+        if workers == 1:  # a process a core, as data loaders have
+            for k in range(len(frames)):
+                expose_frame(k)
+        else:
+            with ThreadPoolExecutor(workers) as pool:
+                list(pool.map(expose_frame, range(len(frames))))  # releases the interpreter lock
         return out.reshape(stack.shape)
 
     def noise_model(self) -> NoiseModel:

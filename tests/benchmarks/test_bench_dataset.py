@@ -171,8 +171,9 @@ def test_captures_a_second(made):
 
 
 @pytest.mark.slow
-def test_a_worker_a_core(made):
+def test_a_worker_a_core(made, monkeypatch):
     """Wall and processor time, the latter for what other programs take; old stream and new."""
+    monkeypatch.setenv("NUMBA_NUM_THREADS", "1")  # of the workers
     data, scene, _ = made
     cores = os.cpu_count() or 1
     begin = time.process_time()
