@@ -25,6 +25,7 @@ from slbench.core.errors import InputError, located
 from slbench.core.validation.types import Measure, OrderResidual
 
 if TYPE_CHECKING:
+    from slbench.cloud.decoded import Decoded
     from slbench.cloud.together import DecodedRig
     from slbench.patterns import Response
     from slbench.rig.motion import Motion
@@ -186,14 +187,7 @@ def decode(
         from slbench.report.pages.decoded import decoded_page
 
         write_page(decoded_page(decoded, parameters), page)
-    if as_json:
-        written = {"out": str(target)} | ({} if page is None else {"report": str(page)})
-        print_json(decoded.to_dict() | written)
-        return
-    for name, value in decoded.rows():
-        print(f"{name}: {value}")
-    shown = page or (target / "summary.png" if picture else None)
-    print(f"Written to {target}" + (f": open {shown}" if shown else ""))
+    _print(decoded, target, page, files, as_json)
 
 
 def _decoded_together(
@@ -269,6 +263,17 @@ def _write_together(
         from slbench.report.pages.decoded import decoded_rig_page
 
         write_page(decoded_rig_page(decoded, parameters), page)
+    _print(decoded, target, page, files, as_json)
+
+
+def _print(
+    decoded: Decoded | DecodedRig,
+    target: Path,
+    page: Path | None,
+    files: Mapping[str, Any],
+    as_json: bool,
+) -> None:
+    """Print what was found and where it was written."""
     if as_json:
         written = {"out": str(target)} | ({} if page is None else {"report": str(page)})
         print_json(decoded.to_dict() | written)
