@@ -214,7 +214,8 @@ class Captures:
         Warns
         -----
         InputWarning
-            Where the rig has cameras or projectors that nothing was captured of.
+            Where the rig has cameras or projectors that nothing was captured of, and where a pair's
+            own rig or its covariance is not used.
         """
         path = manifest_path(folder)
         manifest = read_toml(path)
@@ -255,6 +256,11 @@ class Captures:
             with located(where):
                 known = None if rig is None else _rig_of(rig, pair)
                 captures[pair] = replace(own, pair=pair, rig=known, rig_covariance=None)
+            if rig is None and own.rig is not None:
+                doubt = "its own rig is not used: state one of all devices at the top, or --rig"
+                warn_user(where, doubt)
+            elif own.rig_covariance is not None:
+                warn_user(where, "the covariance of its rig is left out: u has no calibration")
         with located(path):
             result = cls(captures, rig)
         _question_missing(path, result)

@@ -1,5 +1,6 @@
 """Captures of several pairs: folders come back, by hand or written; wrong ones say where."""
 
+import tomllib
 from dataclasses import replace
 
 import numpy as np
@@ -83,6 +84,17 @@ def test_a_folder_comes_back_and_each_part_is_a_capture(tmp_path):
         assert alone.pair == pair
         np.testing.assert_array_equal(alone.frames, frames(name))
     captures().save(tmp_path / "out")  # again, over its own
+
+
+def test_rigs_of_pairs_that_are_not_used_are_told(tmp_path):
+    captures().save(tmp_path / "out")
+    manifest = tomllib.loads((tmp_path / "out" / "capture.toml").read_text())
+    del manifest["rig"]
+    (tmp_path / "out" / "capture.toml").write_text(tomli_w.dumps(manifest))
+    with pytest.warns(InputWarning, match=r"pairs\[1\].*its own rig is not used") as told:
+        read = read_captures(tmp_path / "out")
+    assert read.rig is None
+    assert len(told) == 2
 
 
 def test_one_manifest_by_hand_holds_what_is_common_and_what_is_a_pairs_own(tmp_path):
